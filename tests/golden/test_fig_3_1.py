@@ -14,7 +14,7 @@ from tests.golden.make_fig_3_1 import GOLDEN, shown
         ("with_conflicts", [1, 4, 8, 8]),
     ],
 )
-def test_patterns_are_the_golden_ones(case: str, counts: list[int]) -> None:
+def test_patterns_equal_the_stored_ones(case: str, counts: list[int]) -> None:
     levels = shown(case == "with_conflicts")
     assert levels == json.loads(GOLDEN.read_text(encoding="utf-8"))[case]
     assert [np.max(level) + 1 for level in levels] == counts

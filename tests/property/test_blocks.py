@@ -33,7 +33,7 @@ def halves(extent: range) -> list[range]:
 
 
 def subdivided(shape: tuple[int, ...]) -> Iterator[list[Box]]:
-    """The boxes of each level, in order, as the words of `BlockTree` have it."""
+    """Return the boxes of each level in order, by the definition in `BlockTree`."""
     boxes: list[Box] = [tuple(map(range, shape))]
     yield boxes
     view_axes = len(shape) - 2  # axes that do not split
@@ -51,7 +51,7 @@ def subdivided(shape: tuple[int, ...]) -> Iterator[list[Box]]:
 
 
 @given(trees)
-def test_a_tree_is_repeated_halving(tree: BlockTree) -> None:
+def test_levels_halve_the_blocks_repeatedly(tree: BlockTree) -> None:
     shape = tree.domain.shape
     levels = list(subdivided(shape))
     assert tree.n_levels == len(levels)
@@ -71,7 +71,7 @@ def test_a_tree_is_repeated_halving(tree: BlockTree) -> None:
 
 
 @given(trees)
-def test_children_make_up_their_block(tree: BlockTree) -> None:
+def test_children_partition_their_block(tree: BlockTree) -> None:
     for level in range(tree.n_levels - 1):
         children = tree.child_starts[level]
         np.testing.assert_array_equal(tree.starts[level + 1][children], tree.starts[level])

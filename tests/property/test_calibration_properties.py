@@ -1,4 +1,4 @@
-"""Facts of structured light and of coverage that hold for any sizes."""
+"""Properties of structured light and of pixel overlaps for any sizes."""
 
 import numpy as np
 from hypothesis import given
@@ -17,7 +17,7 @@ def exact_map(homography: np.ndarray) -> SmoothMap:
     st.integers(4, 700), st.sampled_from([8, 12, 16, 20, 32]),
     st.floats(0.01, 5), st.floats(0, 3), st.integers(0, 2**32 - 1),
 )  # fmt: skip
-def test_every_pixel_is_found_exactly(
+def test_every_pixel_is_decoded_exactly(
     extent: int, period: int, albedo: float, ambient: float, seed: int
 ) -> None:
     code = AxisCode(extent, period)
@@ -31,7 +31,7 @@ def test_every_pixel_is_found_exactly(
     assert result["valid"].all()
     assert np.abs(result["coordinate"] - np.arange(extent) - 0.5).max() < 1e-3
     assert np.abs(result["contrast"] - 1).max() < 1e-3
-    # one bit of the finest two misread beside a cell's edge does no harm
+    # an error in one of the two finest bits next to a cell's edge is corrected
     flipped = lines.copy()
     pixel = np.random.default_rng(seed).integers(0, extent)
     pair = 2 * (code.bits - 1)
@@ -57,7 +57,7 @@ def test_overlaps_have_the_area_of_the_outline(
     camera, projector, share, areas = overlaps(outlines, (120, 120))
     total = np.bincount(camera, share, rows * columns)
     assert np.abs(total - 1).max() < 1e-6
-    # what all camera pixels take of a projector pixel inside them is its whole area
+    # the overlaps of an inner projector pixel with all camera pixels add up to its area
     chosen = np.bincount(projector, share * scale**2, 120 * 120)
     assert chosen.max() < 1 + 1e-6
     assert np.isclose(chosen.sum(), rows * columns * scale**2)
@@ -65,10 +65,10 @@ def test_overlaps_have_the_area_of_the_outline(
 
 
 @given(st.floats(2.0, 4.5), st.floats(-0.2, 0.2), st.floats(0, 1), st.floats(0, 1))
-def test_resampling_inverts_what_the_camera_mixes(
+def test_resampling_inverts_the_mixture_of_rays_in_camera_pixels(
     pixels: float, angle: float, x0: float, y0: float
 ) -> None:
-    side = 8  # projector pixels a ray
+    side = 8  # projector pixels per ray
     step = side / pixels
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]) * step
     centre = np.array([32, 32]) - turn @ np.array([20, 20]) + np.array([x0, y0])

@@ -1,4 +1,4 @@
-"""The hierarchical tensor as a linear operator, whatever its leaves hold."""
+"""The hierarchical tensor as a linear operator, for arbitrary leaves."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -64,7 +64,7 @@ def random_transport(shape, channels, seed):
 
 @settings(max_examples=25, deadline=None)
 @given(shape=shapes, channels=st.sampled_from([1, 3]), seed=st.integers(0, 2**32 - 1))
-def test_it_is_the_linear_operator_of_its_dense_matrix(shape, channels, seed):
+def test_products_equal_those_of_the_dense_matrix(shape, channels, seed):
     transport, matrices = random_transport(shape, channels, seed)
     rays = matrices.shape[1]
     atol = 1e-5 * np.abs(matrices).max() * rays

@@ -1,4 +1,4 @@
-"""The multilevel transport as a linear operator, made by dual photography of random matrices."""
+"""The multilevel transport as a linear operator, by dual photography of random matrices."""
 
 import numpy as np
 from hypothesis import given, settings
@@ -17,7 +17,7 @@ shapes = st.one_of(
 
 @st.composite
 def rigs(draw: st.DrawFn) -> tuple[np.ndarray, tuple[int, ...], tuple[int, ...], float]:
-    """A matrix (C, M, N) with some light, both shapes, a tolerance."""
+    """Draw a matrix (C, M, N) that isn't zero, both ray domains and a tolerance."""
     camera, projector = draw(shapes), draw(shapes)
     random = np.random.default_rng(draw(st.integers(0, 2**32)))
     shape = (draw(st.sampled_from([1, 3])), RayDomain(camera).size, RayDomain(projector).size)
@@ -37,10 +37,10 @@ def transports(draw: st.DrawFn) -> MultilevelTransport:
 
 
 def by_definition(transport: MultilevelTransport) -> np.ndarray:
-    """The matrices that eq. (3.2) describes: each value spread over its block's rays.
+    """Return the matrices of eq. (3.2): each value is spread over the rays of its block.
 
-    Where the transport is symmetric, in proportion to what the rays' pixels see, in this matrix, of
-    the block of the same level that the value's pixel lies in.
+    In a symmetric transport, the value of a pixel is spread in proportion to the light that the
+    pixels of these rays receive from the pixel's block of the same level.
     """
     even = evenly(transport)
     if not transport.symmetric:
@@ -93,7 +93,7 @@ def test_truncation_keeps_the_energy(transport: MultilevelTransport, data: st.Da
     np.testing.assert_allclose(
         truncated.relight(light), transport.relight(light), rtol=1e-5, atol=1e-7
     )
-    # Blocks of the level can't be told from their even light.
+    # the rays of a block get its mean light
     even = np.random.default_rng(0).random(transport.tree.n_blocks(level))
     pattern = even[transport.tree.labels(level)]
     np.testing.assert_allclose(

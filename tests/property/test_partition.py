@@ -1,4 +1,4 @@
-"""Products of leaves with patterns that are a partition of a level's blocks."""
+"""Products of leaves with patterns that partition the blocks of a level."""
 
 import numba
 import numpy as np
@@ -19,9 +19,7 @@ from rfpipe.transport.hierarchical.apply import predict
     tile=st.integers(1, 20),
     seed=st.integers(0, 2**32 - 1),
 )
-def test_it_is_the_dense_product_whichever_patterns_stand_together(
-    shape, channels, n_patterns, tile, seed
-):
+def test_products_equal_dense_products_for_any_batch(shape, channels, n_patterns, tile, seed):
     transport, matrices = random_transport(shape, channels, seed)
     tree, rng = transport.tree, np.random.default_rng(seed)
     level = int(rng.integers(tree.n_levels))
@@ -43,7 +41,7 @@ def test_it_is_the_dense_product_whichever_patterns_stand_together(
         np.testing.assert_array_equal(part, images[first:last])
 
 
-def test_it_does_not_depend_on_the_number_of_threads_nor_of_patterns():
+def test_products_do_not_depend_on_threads_or_batches():
     transport, _ = random_transport((40, 37), 3, 5)
     tree, threads = transport.tree, numba.get_num_threads()
     pattern_of_block = np.arange(tree.n_blocks(4), dtype=np.int32) % 11

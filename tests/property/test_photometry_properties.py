@@ -1,4 +1,4 @@
-"""Photometry holds for any light, exposures and shapes."""
+"""Properties of photometry for any light, exposures and shapes."""
 
 import numpy as np
 from hypothesis import given
@@ -60,7 +60,7 @@ def test_any_counts_merge_to_finite_radiance(camera: CameraModel, data: st.DataO
     hnp.arrays(np.float32, (2, 4, 5, 3), elements=st.floats(0, 10, width=32)),
     st.sampled_from(["RGGB", "GBRG"]),
 )
-def test_a_mosaic_merges_each_view_for_itself(images: np.ndarray, pattern: str) -> None:
+def test_a_mosaic_merges_each_view_separately(images: np.ndarray, pattern: str) -> None:
     camera = CameraModel(bayer=pattern)
     black = camera.expose(np.zeros_like(images), 0, (9, 9)).astype(np.float32)
     frames = camera.expose(images, 0, (0, 0))
@@ -80,7 +80,7 @@ variances = st.floats(0, 10, width=32)
     hnp.arrays(np.float32, (2, 4, 3), elements=variances),
     st.sampled_from(["per_channel", "total_energy"]),
 )
-def test_normalization_is_finite_bounded_and_adds_up_where_it_covers(
+def test_normalized_images_are_finite_bounded_and_add_up_on_covered_pixels(
     images: np.ndarray, floodlit: np.ndarray, variance: np.ndarray, mode: str
 ) -> None:
     total = images.sum(axis=0, dtype=np.float64)

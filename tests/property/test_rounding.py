@@ -1,4 +1,4 @@
-"""The number formats of stored transports: how far a number may move."""
+"""Number formats of stored transports: bounds of the rounding errors."""
 
 import numpy as np
 import pytest
@@ -17,7 +17,7 @@ from rfpipe.transport.rounding import rounded
 
 FORMATS = {"uint16": 65535, "uint8": 255}
 TREE = BlockTree(RayDomain((5, 6)))
-NEGLIGIBLE = 1e-22  # the product of two such factors is below what float32 holds
+NEGLIGIBLE = 1e-22  # the product of two such factors underflows in float32
 
 numbers = st.one_of(
     st.just(0.0),
@@ -29,7 +29,7 @@ numbers = st.one_of(
 
 @st.composite
 def leaf_sets(draw: st.DrawFn) -> LeafSet:
-    """Leaves of one level, factors of any size side by side; also none at all."""
+    """Draw leaves of one level, possibly none, with factors of very different magnitudes."""
     level = draw(st.integers(0, TREE.n_levels - 2))
     count = TREE.n_blocks(level)
     pairs = draw(st.lists(st.tuples(*[st.integers(0, count - 1)] * 2), max_size=4))
@@ -59,9 +59,9 @@ def factors_of(leaves: LeafSet) -> list[list[np.ndarray]]:
 @pytest.mark.parametrize("number_format", FORMATS)
 @settings(max_examples=100, deadline=None)
 @given(leaves=leaf_sets())
-def test_a_factor_moves_by_half_a_step_of_its_root_at_most(number_format, leaves):
+def test_the_square_root_of_a_factor_is_rounded_to_the_nearest_step(number_format, leaves):
     packed = pack_leaves(TREE, leaves, number_format)
-    if "codes" not in packed:  # it would not have been smaller
+    if "codes" not in packed:  # rounding would not save bytes
         assert packed["values"] is leaves.values
         return
     result = decoded(TREE, unpack_leaves(leaves.level, packed))
@@ -114,7 +114,7 @@ def test_single_values_keep_their_leading_bits(number_format, bits, value, sign)
     values = np.array([sign * value], np.float32)
     result = rounded(values, number_format)
     error = abs(float(result[0]) - float(values[0]))
-    # the numbers next to zero have fewer bits
+    # subnormal numbers have fewer bits
     least = float(np.finfo(np.float32).smallest_normal)
     assert error <= 2.0**-bits * max(abs(float(values[0])), least)
     np.testing.assert_array_equal(rounded(result, number_format), result)

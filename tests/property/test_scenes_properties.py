@@ -1,4 +1,4 @@
-"""Scenes of any shape and occluder: symmetry, compression, proofs of visibility."""
+"""Scenes of any shape with any occluder: symmetry, compression, visibility of clusters."""
 
 import numpy as np
 from hypothesis import given, settings

@@ -1,4 +1,4 @@
-"""Whatever is written, in whatever order, comes back."""
+"""Frames are read as written, in any order of writing."""
 
 from pathlib import Path
 from tempfile import TemporaryDirectory

@@ -1,4 +1,4 @@
-"""Messages between server and client: whatever goes in comes out, bit for bit."""
+"""Messages between server and client: exact round trips and detection of damage."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ DTYPES = st.sampled_from(
 
 @st.composite
 def patterns(draw: st.DrawFn) -> np.ndarray:
-    """Patterns of every kind that is sent in its own way."""
+    """Draw patterns of each kind that has a separate encoding."""
     shape = draw(SHAPES)
     if draw(st.booleans()):
         return draw(npst.arrays(np.bool_, shape)).astype(np.float32)
@@ -30,7 +30,7 @@ def patterns(draw: st.DrawFn) -> np.ndarray:
 
 
 @given(patterns())
-def test_patterns_come_back_exactly(shown: np.ndarray) -> None:
+def test_patterns_are_decoded_exactly(shown: np.ndarray) -> None:
     keys = [(1, index) for index in range(len(shown))]
     message = encode_patterns(shown, keys)
     sent = decode_patterns(message, shown.shape[1:], len(shown), shown.nbytes)
@@ -43,7 +43,7 @@ def test_patterns_come_back_exactly(shown: np.ndarray) -> None:
 
 
 @given(st.data(), npst.array_shapes(min_dims=0, min_side=0), DTYPES, st.booleans())
-def test_arrays_come_back_exactly(
+def test_arrays_are_decoded_exactly(
     data: st.DataObject, shape: tuple[int, ...], dtype: type, deflate: bool
 ) -> None:
     array = data.draw(npst.arrays(dtype, shape))
@@ -64,7 +64,7 @@ def test_any_bytes_are_a_message_or_an_error(content: bytes) -> None:
 
 
 @given(st.data())
-def test_one_altered_byte_is_noticed_or_alters_nothing(data: st.DataObject) -> None:
+def test_an_altered_byte_is_detected_or_has_no_effect(data: st.DataObject) -> None:
     array = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
     message = bytearray(pack({"a": 1}, {"one": array}, deflate=data.draw(st.booleans())))
     message[data.draw(st.integers(0, len(message) - 1))] ^= data.draw(st.integers(1, 255))
@@ -72,12 +72,12 @@ def test_one_altered_byte_is_noticed_or_alters_nothing(data: st.DataObject) -> N
         facts, arrays = unpack(bytes(message), 1000)
     except TransferError:
         return
-    # but for names, which have no checksum
+    # names have no checksum
     assert facts == {"a": 1}
     np.testing.assert_array_equal(next(iter(arrays.values())), array)
 
 
-def test_a_message_is_an_archive_that_numpy_reads_and_the_same_each_time() -> None:
+def test_messages_are_numpy_archives_with_reproducible_bytes() -> None:
     arrays = {"one": np.arange(6).reshape(2, 3), "two": np.array(True)}
     message = pack({"a": [1]}, arrays)
     assert message == pack({"a": [1]}, arrays)

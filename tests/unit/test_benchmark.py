@@ -1,4 +1,4 @@
-"""The open benchmark: every method on every scene, a row an acquisition, and the page of them."""
+"""The open benchmark: its cases, its table with one row per acquisition, and its page."""
 
 import csv
 import math
@@ -26,20 +26,20 @@ from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
 
-SCENES = ["wedge_iv", "tilted_wedge"]  # an open one and one held out
+SCENES = ["wedge_iv", "tilted_wedge"]  # an open scene and a held-out one
 SMALL = ["--scenes", *SCENES, "--side", "8", "--seeds", "1", "--settings", "1", "--lights", "full"]
 
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A part of the benchmark: all methods on two matt scenes of 8 x 8."""
+    """Folder of a small benchmark: all methods on two matt scenes of 8 x 8 rays."""
     folder = tmp_path_factory.mktemp("docs") / "benchmark"
     benchmark.main([*SMALL, "--folder", str(folder)])
     return folder
 
 
 @pytest.mark.slow
-def test_it_covers_all_methods_scenes_lights_and_seeds():
+def test_the_benchmark_covers_all_methods_scenes_lights_and_seeds():
     cases = list(cases_of(list(KINDS)))
     for method in map(method_of, NAMES):
         cases_of_method = [case for case in cases if case.method == method.name]
@@ -52,7 +52,7 @@ def test_it_covers_all_methods_scenes_lights_and_seeds():
 
 
 @pytest.mark.slow
-def test_the_table_has_a_row_an_acquisition(run):
+def test_the_table_has_one_row_per_acquisition(run):
     table = newest(run / "acquisitions.csv")
     assert list(table.columns) == list(COLUMNS)
     assert set(zip(table["scene"], table["method"], strict=True)) == {
@@ -78,7 +78,7 @@ def test_the_table_has_a_row_an_acquisition(run):
 
 
 @pytest.mark.slow
-def test_what_is_there_is_not_run_again(run, monkeypatch):
+def test_existing_acquisitions_are_not_repeated(run, monkeypatch):
     before = (run / "acquisitions.csv").read_bytes()
     monkeypatch.setattr(benchmark, "measure", lambda *_: pytest.fail("it was run again"))
     benchmark.main([*SMALL, "--folder", str(run)])
@@ -89,13 +89,13 @@ def test_what_is_there_is_not_run_again(run, monkeypatch):
 
 
 @pytest.mark.slow
-def test_the_page_says_what_was_run_and_what_was_not(run):
+def test_the_page_states_which_acquisitions_were_run(run):
     page = run.with_suffix(".md").read_text()
     planned = len(SCENES) * len(NAMES)
     assert f"Of the {planned} planned ones, 0 weren't needed" in page
     of_scene = [line for line in page.splitlines() if line.startswith("| tilted_wedge* | ")]
     assert "64" in of_scene[-1]
-    assert len(of_scene) == 3  # regrets, and the fewest patterns
+    assert len(of_scene) == 3  # regrets and the lowest number of patterns
     assert "| `auto` | full | held out | 1 |" in page
     for name in ("errors.png", "estimates.png"):
         assert f"]({run.name}/{name})" in page
@@ -113,7 +113,7 @@ def test_a_table_of_other_columns_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_method_that_refuses_or_fails_is_a_row_that_says_so(monkeypatch, tmp_path):
+def test_refused_and_failed_acquisitions_have_rows_with_their_reasons(monkeypatch, tmp_path):
     case = Case("wedge_iv", "96", 1, 16, "full", 1, "compressive", "patterns", 50)
     refused = measure(case, tmp_path)
     assert refused["status"] == "refused"
@@ -145,7 +145,7 @@ def test_regret_is_against_the_best_setting_in_hindsight():
         acquisition("symmetric", 0.01, 50, 0.0201, 0.09),
         acquisition("dual", 0.01, 60, 0.02, 0.2),
         acquisition("symmetric", 0.006, 160, 0.008, 0.03),
-        acquisition("auto", 0.02, 40, 0.015, seed=2),  # no other method there
+        acquisition("auto", 0.02, 40, 0.015, seed=2),  # no other method was run
     ]
     regret = regrets(pd.DataFrame(rows)).set_index(["seed", "target"])
     assert list(regret.loc[1, "error"]) == pytest.approx([40 / 60, 80 / 160, 100 / 2304])
@@ -187,7 +187,7 @@ def test_a_tolerance_is_needless_once_a_coarser_one_has_reached_all():
     auto = acquisition("auto", 0.005, 80, 0.004, 0.02)
     for patterns, error, indirect, needless in (
         (200, 0.005, 0.02, True),
-        (200, 0.005, math.nan, True),  # aside
+        (200, 0.005, math.nan, True),  # displaced rig
         (200, 0.005, 0.03, False),
         (200, 0.006, 0.02, False),
         (2304, 0.006, 0.03, True),

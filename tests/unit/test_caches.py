@@ -1,4 +1,4 @@
-"""Homes that can't be written: libraries' caches lie elsewhere."""
+"""Caches of libraries if the home folder isn't writable."""
 
 import os
 import shutil
@@ -17,7 +17,7 @@ VARIABLES = ("XDG_CACHE_HOME", "XDG_CONFIG_HOME", "MPLCONFIGDIR")
 
 @pytest.fixture
 def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A home without variables that name other folders; temporary files lie beside it."""
+    """A home folder, with temporary files next to it and no variables for other folders."""
     monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
     for name in VARIABLES:
         monkeypatch.setenv(name, "")

@@ -73,7 +73,7 @@ def test_plan_lists_each_acquisition_with_its_rays_and_patterns() -> None:
     assert room[:5] == ["room", "auto", "10,368", "30", "2,527"]
 
 
-def test_schema_is_that_of_the_model() -> None:
+def test_schema_equals_that_of_the_model() -> None:
     assert json.loads(run("settings", "schema")) == schema_of(Config)
 
 

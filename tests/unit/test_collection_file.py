@@ -1,4 +1,4 @@
-"""Collections: what their rows mean, and what is wrong with them, by file, line and column."""
+"""Collections in tables: their rows as scenes, and mistakes by file, line and column."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ METHODS = {"near_far": {}}
 
 
 def settings(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: Any) -> Path:
-    """A settings file beside a collection."""
+    """Write a settings file next to a collection, and return its path."""
     content = rows if isinstance(rows, bytes) else rows.encode()
     (folder / name).write_bytes(content)
     path = folder / "run.yaml"
@@ -24,7 +24,7 @@ def settings(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: 
 
 
 def refusal(folder: Path, rows: str | bytes, name: str = "scenes.csv", **more: Any) -> list[str]:
-    """What is said of a collection, without the folder's name."""
+    """Return the lines of the error about a collection, without the folder's name."""
     with pytest.raises(ConfigError) as caught:
         load_config(settings(folder, rows, name, **more))
     return str(caught.value).replace(f"{folder}/", "").splitlines()
@@ -154,7 +154,7 @@ def test_every_mistake_is_reported_with_its_line(
         assert line.startswith(f"scenes.csv: {start}")
 
 
-def test_of_a_thousand_mistakes_the_first_are_reported(tmp_path: Path) -> None:
+def test_only_the_first_of_many_mistakes_are_reported(tmp_path: Path) -> None:
     rows = "name,kind,surfaces,shapee\n" + "".join(f"a{n},plane,white,3\n" for n in range(1000))
     lines = refusal(tmp_path, rows)
     assert len(lines) < 50

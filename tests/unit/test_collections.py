@@ -95,7 +95,7 @@ def test_a_packed_run_is_readable_also_in_a_zip_and_is_restored(
     result = invoke(app, ["collection", "unpack", str(packed), "-o", str(tmp_path / "again")])
     assert isinstance(result.exception, IntegrityError)
     assert str(largest) in str(result.exception)
-    # packed again it is mended; and what stands in the way of a file is told from it
+    # packing again repairs it; a different file in its place is an error
     assert invoke(app, ["collection", "pack", str(results), "-o", str(packed)]).exit_code == 0
     assert invoke(app, ["verify", str(packed)]).exit_code == 0
     changed = unpacked / "a/hadamard/transport.json"
@@ -132,7 +132,7 @@ def test_a_packed_run_is_read_from_a_web_server(
             rfpipe.open_transport(address)
         with pytest.raises(StoreError, match="nowhere"):
             rfpipe.open_transport(f"{address}/nowhere/transport.zarr")
-        # without a place in it, the command is given it as a user does
+        # without a place, the command gets the address from the user
         monkeypatch.chdir(output.parent)
         for command in (["verify", address], ["collection", "unpack", address, "-o", str(output)]):
             done = CliRunner().invoke(app, command)

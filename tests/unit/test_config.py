@@ -1,4 +1,4 @@
-"""Settings: defaults, generated files, and what a mistake says."""
+"""Settings: defaults, generated files, and messages about mistakes."""
 
 import json
 import re
@@ -45,14 +45,14 @@ def test_all_settings_are_listed_at_their_defaults() -> None:
     )
 
 
-def test_the_default_file_shows_what_a_person_decides() -> None:
+def test_the_default_file_shows_the_settings_to_decide() -> None:
     text = (FOLDER / "config.yaml").read_text(encoding="utf-8")
     assert len(text.splitlines()) <= 80
     jsonschema.validate(yaml.safe_load(text), schema_of(Config))
     shown = RUN.scenes
     assert RUN.methods_of(next(iter(shown))).keys() == {"auto"}
     assert next(iter(shown.values())).shape >= (96, 108)
-    # numbers that are shown and left at their defaults are the defaults
+    # numbers shown in the file equal the defaults
     assert RUN.result_settings() == {**parse_config(BARE, "bare").result_settings(), **{
         name: RUN.result_settings()[name] for name in ("scenes", "methods", "report")
     }}  # fmt: skip
@@ -86,7 +86,7 @@ def test_an_empty_file_is_refused(tmp_path: Path, text: str) -> None:
 
 
 def test_numbers_that_yaml_reads_as_text_are_numbers(tmp_path: Path) -> None:
-    # YAML 1.1 takes 1e-4, without a dot, for a string
+    # YAML 1.1 reads 1e-4, without a dot, as a string
     text = f"{BARE_TEXT}methods: {{symmetric: {{tolerance: 1e-4}}}}"
     settings = load_config(write(tmp_path, text))
     assert settings.methods["symmetric"].options()["tolerance"] == 1e-4

@@ -1,4 +1,4 @@
-"""What the documents show is valid, and the figures that they quote are the measured ones."""
+"""Documents: valid settings and commands, and figures that equal the measurements."""
 
 import re
 import tomllib
@@ -31,7 +31,7 @@ BLOCKS = [
 
 
 def texts() -> list[Path]:
-    """All files that somebody writes, as far as they are text."""
+    """Return the contents of all text files written by hand, by path."""
     folders = ("benchmarks", "config", "docs", "profiles", "src", "tests", "workflow")
     files = [path for path in ROOT.iterdir() if path.is_file() and path.suffix != ".lock"]
     files += [path for folder in folders for path in (ROOT / folder).rglob("*")]
@@ -54,7 +54,7 @@ def test_no_text_installs_rfpipe_from_the_package_index() -> None:
 
 
 def test_there_is_one_way_to_make_a_token() -> None:
-    """It works without a package of the system, and before rfpipe is installed."""
+    """The command needs no system package and works before rfpipe is installed."""
     way = "python3 -c 'import secrets; print(secrets.token_urlsafe(32))'"
     makes = re.compile(r"openssl rand|uuidgen|/dev/u?random|secrets\.token_\w+\(\d+\)\)'")
     pages = [ROOT / document for document in (*DOCUMENTS, "README.md")]
@@ -67,10 +67,10 @@ def test_there_is_one_way_to_make_a_token() -> None:
 
 @pytest.mark.parametrize("block", BLOCKS)
 def test_settings_in_documents_are_valid(block: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(EXAMPLES)  # where the documents' own classes are
+    monkeypatch.chdir(EXAMPLES)  # the folder of the classes that the documents use
     data = yaml.safe_load(block)
     if set(data) <= set(Config.model_fields):
-        settings_of_a_plane(**data)  # of some, the document shows what they are about alone
+        settings_of_a_plane(**data)  # some examples show a part of the settings only
     else:
         parse_rig_config(data, "the document")
 
@@ -91,7 +91,7 @@ def test_snippets_run_as_they_are(
 
 
 @pytest.mark.parametrize("page", PAGES)
-def test_tables_are_made_of_the_measured_files(page: Path) -> None:
+def test_tables_equal_the_measured_files(page: Path) -> None:
     text = (ROOT / page).read_text("utf-8")
     assert len(re.findall(r"^<!-- /", text, re.M)) >= 2
     assert written(text, ROOT / FOLDER) == text
@@ -103,7 +103,7 @@ def test_the_opening_page_shows_measured_figures() -> None:
     assert caption in (ROOT / "README.md").read_text("utf-8")
 
 
-def test_everything_that_is_registered_has_tests() -> None:
+def test_all_registered_plug_ins_have_tests() -> None:
     page = (ROOT / "docs" / "tests.md").read_text("utf-8")
     files = re.findall(r"`(\w+/test_\w+)`", page)
     assert [name for name in files if not (ROOT / "tests" / f"{name}.py").is_file()] == []

@@ -1,4 +1,4 @@
-"""What leaves rfpipe: pictures of rays, relit pictures and movies, from Python and by command."""
+"""Export of matrices, relit pictures and movies, in Python and by commands."""
 
 import sys
 from pathlib import Path
@@ -54,7 +54,7 @@ def frames_of(path: Path) -> NDArray[np.uint8]:
         return np.stack([frame.to_ndarray(format="rgb24") for frame in container.decode(video=0)])
 
 
-# --- which rays
+# --- selection of rays
 
 
 @pytest.mark.parametrize(
@@ -92,7 +92,7 @@ def test_paths_move_a_light_within_the_weights(path: str, axis: int | None) -> N
     first, middle, last = (moving_light(path, (20, 30), time) for time in (0, 0.5, 1))
     assert middle.min() >= 0
     assert middle.max() <= 1
-    if axis is not None:  # the bar is in the middle half-way, and outside at both ends
+    if axis is not None:  # the bar is in the middle at half time, and outside at both ends
         lit = np.flatnonzero(middle.any(axis=axis))
         assert abs(lit.mean() - (middle.shape[1 - axis] - 1) / 2) < 0.6
         assert middle.sum(axis=1 - axis).std() < 1e-6
@@ -132,12 +132,12 @@ def test_a_movie_shows_the_relit_pictures(tmp_path: Path) -> None:
     transport, path = transport_of((5, 9)), tmp_path / "movie.mp4"
     white = relit_movie(transport, path, "across", 6, enlarge=9, fps=12.5)
     frames = frames_of(path)
-    assert frames.shape == (6, 46, 82, 3)  # odd sides are filled up
+    assert frames.shape == (6, 46, 82, 3)  # odd sides are padded
     expected = [
         255 * srgb(picture, white).repeat(9, 0).repeat(9, 1) for picture in swept(transport, 6)
     ]
     off = np.abs(frames[:, :45, :81] - np.stack(expected))
-    assert off.mean() < 4  # noise, of which colour is kept for squares of four pixels
+    assert off.mean() < 4  # noise; the format stores colour for squares of four pixels
     assert np.abs((frames[:, :45, :81] - np.stack(expected)).mean((0, 1, 2))).max() < 1.5
     with av.open(str(path)) as container:
         assert container.streams.video[0].average_rate == 12.5
@@ -179,7 +179,7 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
     text = run("export", stored, "-o", path, "--rows", "2,:", "--rows", "2,3", "--columns", "0,0")
     assert "part.npz: T" in text
     exported = np.load(path)
-    assert exported["rows"].tolist() == list(range(16, 24))  # each once
+    assert exported["rows"].tolist() == list(range(16, 24))  # each ray once
     np.testing.assert_allclose(exported["T"], transport_of().toarray(range(16, 24), [0]), rtol=1e-6)
     run("export", stored, "-o", path, "--coarser", "2", "--dual")
     np.testing.assert_allclose(
@@ -195,7 +195,9 @@ def test_export_matrix(stored: Path, tmp_path: Path) -> None:
         ("rays", (), ".npz"),
     ],
 )
-def test_export_refuses(stored: Path, tmp_path: Path, name: str, options, message: str) -> None:
+def test_export_refuses_invalid_arguments(
+    stored: Path, tmp_path: Path, name: str, options, message: str
+) -> None:
     assert message in refused("export", stored, "-o", tmp_path / name, *options)
     assert not (tmp_path / name).exists()
 

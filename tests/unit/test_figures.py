@@ -1,4 +1,4 @@
-"""What the thesis' figures and tables are made by."""
+"""Scripts that make the thesis' figures and tables."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_lines_and_power_laws_are_fitted_to_patterns_by_resolution() -> None:
     assert fits(4**LEVELS).loc["box", "exponent"] == pytest.approx(1)
 
 
-def test_costs_stand_beside_brute_force_and_the_thesis() -> None:
+def test_costs_are_compared_with_brute_force_and_the_thesis() -> None:
     (costs,) = cost_table("3.1", [ROW], pd.DataFrame()).to_dict("records")
     assert "extrapolated_line" not in costs
     assert costs["brute_force_days"] == pytest.approx(1 / (60 * 24))
@@ -50,7 +50,7 @@ def test_costs_stand_beside_brute_force_and_the_thesis() -> None:
     assert field["extrapolated_line"] == pytest.approx(80 * (20 + 5 * np.log2(162_900 / 25)))
 
 
-def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> None:
+def test_the_page_shows_the_files_of_a_script(tmp_path: Path) -> None:
     folder = tmp_path / "results" / "figures"
     folder.mkdir(parents=True)
     tables = tmp_path / "results" / "report" / "tables"
@@ -74,7 +74,7 @@ def test_a_script_leaves_its_files_and_the_page_shows_them(tmp_path: Path) -> No
     ("script", "first", "is_meant"),
     [("plane", "planes", True), ("lightfield", "light_field", True), ("nope", "", False)],
 )
-def test_a_script_that_isn_t_there_names_those_that_are(
+def test_an_unknown_script_is_refused_with_the_known_names(
     script: str, first: str, is_meant: bool, monkeypatch, capsys
 ) -> None:
     monkeypatch.setattr(sys, "argv", ["figures", script])

@@ -1,4 +1,4 @@
-"""Transport from pictures of patterns that somebody else chose."""
+"""Fits of a transport to existing pictures of known patterns."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ T = np.stack([SCENE.dense(channel) for channel in range(3)])
 
 
 def series(patterns: np.ndarray, noise: float = 0.0, seed: int = 0) -> Series:
-    """Pictures whose standard deviation is a fraction of the mean light."""
+    """Return pictures with noise: a standard deviation relative to the mean light."""
     light = np.einsum("cmn,kn->kcm", T, patterns)
     spread = np.full_like(light, (noise * light.mean()) ** 2)
     observed = light + np.sqrt(spread) * np.random.default_rng(seed).standard_normal(light.shape)
@@ -38,7 +38,7 @@ def series(patterns: np.ndarray, noise: float = 0.0, seed: int = 0) -> Series:
 
 
 def error_of(transport) -> float:
-    """Mean error of the reference patterns' pictures."""
+    """Return the mean relighting error under the reference patterns."""
     lit = np.stack(list(relighting_patterns(SHAPE).values()))
     return picture_error(transport, T, lit)
 
@@ -46,7 +46,7 @@ def error_of(transport) -> float:
 def test_one_light_at_a_time_becomes_the_transport() -> None:
     result = fit_transport(series(np.eye(RAYS)))
     assert result.complete
-    assert result.error is None  # nothing to tell it by
+    assert result.error is None  # too few pictures to estimate it
     np.testing.assert_allclose(dense(result.transport), T, rtol=1e-5, atol=1e-6 * T.max())
 
 
@@ -55,7 +55,7 @@ def test_hadamard_patterns_determine_the_transport_up_to_noise() -> None:
     assert error_of(fit_transport(series(patterns)).transport) < 1e-4
     result = fit_transport(series(patterns, noise=0.01))
     assert result.transport.history.estimated_error.iloc[-1] == result.error < 0.05
-    assert result.held_out == 16  # all that is left is still complete
+    assert result.held_out == 16  # the remaining patterns still determine the transport
     assert result.complete
 
 
@@ -107,7 +107,7 @@ def write(path: Path, pixels: np.ndarray, seconds: float | None = None) -> None:
 
 
 def test_a_foreign_folder_of_single_lights(tmp_path: Path) -> None:
-    """As a light stage leaves it: EXR pictures, lights in no grid."""
+    """A folder of a light stage: EXR pictures, and lights without a grid."""
     lights = np.random.default_rng(3).random((7, *SHAPE, 3), np.float32)
     for index, light in enumerate(lights):
         write(tmp_path / "stage" / f"light_{index}.exr", light)
@@ -135,7 +135,7 @@ def test_brackets_of_a_known_camera_bring_their_variance(tmp_path: Path) -> None
         for exposure, frame in enumerate(camera.expose(radiance, 1, (0, index))):
             write(tmp_path / "pictures" / f"{2 * index + exposure}.tif", frame)
     read_back = read_series(tmp_path, camera=camera)
-    assert read_back.patterns.shape == (6, 1, 6)  # without the dark ones, which are subtracted
+    assert read_back.patterns.shape == (6, 1, 6)  # without the black pictures, which are subtracted
     deviation = (read_back.radiance[:, 0] - matrix.T) / np.sqrt(read_back.variance[:, 0])
     assert 0.7 < deviation.std() < 1.4
     (tmp_path / "c.yaml").write_text(yaml.safe_dump({"scenes": {"a": WALL}, "camera": numbers}))
@@ -196,7 +196,7 @@ def test_lights_are_exported_and_read_as_parts_of_an_exr_file(tmp_path: Path, st
     assert read_back.projector_shape == (1, 3)
     lit = T.reshape(3, RAYS, *SHAPE)[..., 8:12, :4].sum((2, 3))
     np.testing.assert_allclose(read_back.radiance[0], lit, rtol=1e-5)
-    np.save(tmp_path / "patterns.npy", hadamard(4)[1:, None] > 0)  # of parts, in a folder
+    np.save(tmp_path / "patterns.npy", hadamard(4)[1:, None] > 0)  # with parts, in a folder
     assert list(read_series(tmp_path).names) == list(read_back.names)
 
 

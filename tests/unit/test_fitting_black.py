@@ -18,7 +18,7 @@ NAMES = ("black.tif", "IMG_1.tif")
         ({}, 1),
         ({"exposure_s": 0.25}, 2),
         ({"exposure_s": 2}, 0.25),
-        ({"exposure_s": 0.503}, 1),  # as cameras round
+        ({"exposure_s": 0.503}, 1),  # rounded as by cameras
         ({"iso": 400}, 0.25),
         ({"f_number": 4}, 0.25),
         ({"exposure_s": 1, "iso": 50}, 1),

@@ -1,4 +1,4 @@
-"""Models of a fit: chosen by left-out pictures, refused where these are predicted no better."""
+"""Models of a fit: selected by held-out pictures, refused if these are predicted poorly."""
 
 from __future__ import annotations
 
@@ -112,11 +112,11 @@ def test_pictures_and_complements_are_held_out_together() -> None:
     pairs = groups[:-1].reshape(-1, 2)
     assert (pairs[:, 0] == pairs[:, 1]).all()
     assert len(np.unique(pairs[:, 0])) == len(pairs)
-    assert groups[-1] == -1  # white, which several pairs predict
+    assert groups[-1] == -1  # white is predicted by several pairs
     held_out = held_out_pictures(series)
     np.testing.assert_array_equal(dependents(series, held_out), held_out)
     np.testing.assert_array_equal(dependents(series, held_out[:1]), held_out[:1] // 2 * 2 + [0, 1])
-    # coarse stripes stay, which nothing else predicts
+    # no other pictures predict coarse stripes
     assert not np.isin(held_out, [0, 1, 12, 13]).any()
 
 
@@ -131,7 +131,7 @@ def test_repeated_pictures_are_held_out_together() -> None:
 def test_noise_is_estimated_from_combinations_that_vanish(sigma: float) -> None:
     series = series_of(gray_code(noise=sigma))
     estimate = np.sqrt(with_estimated_noise(series).variance[0, 0])
-    # black was subtracted without noise; 8 bits round
+    # black without noise was subtracted; 8 bits are rounded
     expected = np.hypot(sigma, 1 / 255 / np.sqrt(12))
     assert np.median(estimate) == pytest.approx(expected, rel=0.1)
 

@@ -1,4 +1,4 @@
-"""Files of a folder by their names: pictures, mask, ambient light, results; and patterns.npy."""
+"""Roles of files by their names: pictures, mask, ambient light, results and patterns.npy."""
 
 import shutil
 from pathlib import Path

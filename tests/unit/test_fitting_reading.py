@@ -23,7 +23,7 @@ def write(path: Path, pixels: np.ndarray) -> None:
 
 
 def write_gray_code(folder: Path, projector=(16, 20), camera=(40, 48)) -> np.ndarray:
-    """Write Gray code with white and black; returns the counts (K, H, W)."""
+    """Write pictures of a Gray code with white and black; return the counts (K, H, W)."""
     capture = shot(projector, camera, 3)
     pictures = np.vstack([capture.pictures, np.zeros_like(capture.pictures[:1])])
     counts = np.clip(np.rint(200 * (pictures + 0.05)), 0, 255).astype(np.uint8)
@@ -49,8 +49,8 @@ def test_squares_are_averaged_over_known_pixels(side: int) -> None:
 
 def test_saturated_pixels_are_excluded_from_averages(tmp_path: Path) -> None:
     counts = write_gray_code(tmp_path)
-    counts[3, 0, 0] = 255  # saturates in one picture
-    counts[:, 2:4, 0:2] = 255  # a whole square
+    counts[3, 0, 0] = 255  # saturated in one picture
+    counts[:, 2:4, 0:2] = 255  # a complete square
     for index, picture in enumerate(counts):
         write(tmp_path / f"im{index + 1}.png", picture[..., None])
     series = read_series(tmp_path, patterns="gray:20x16", camera_bin=2)

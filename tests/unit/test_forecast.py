@@ -34,7 +34,7 @@ def only(**changes: Any) -> Any:
     return row
 
 
-def test_it_counts_patterns_references_and_the_warm_up() -> None:
+def test_a_forecast_counts_patterns_references_and_the_warm_up() -> None:
     capture = {"seconds_per_pattern": 3.0, "black_frames": 2, "floodlit_frames": 5}
     capture["warm_up_minutes"] = 4
     row = only(methods={"brute_force": {}}, capture=capture)
@@ -58,12 +58,12 @@ def test_a_smaller_error_takes_more_patterns(method: str) -> None:
     auto, small = get_method("auto"), RayDomain((16, 18))
     options = options_of(auto, target_error=1e-5)
     forecast = auto.forecast(small, small, 3, options)
-    assert forecast.max_patterns > 451  # a run of such a scene took 451
+    assert forecast.max_patterns > 451  # an acquisition of such a scene took 451 patterns
     few = only(scenes={"wall": shape}, methods={method: {"patterns": 20}})
     assert (few.patterns, few.max_patterns) == (20, 20)
 
 
-@pytest.mark.slow  # kernels of all methods are compiled
+@pytest.mark.slow  # compiles the kernels of all methods
 @pytest.mark.parametrize("is_symmetric", [True, False])
 @pytest.mark.parametrize("method", ["auto", "near_far", "footprints"])
 def test_no_acquisition_of_a_small_scene_exceeds_the_upper_limit(
@@ -82,7 +82,7 @@ def test_no_acquisition_of_a_small_scene_exceeds_the_upper_limit(
     assert 72 < result.patterns <= limit
 
 
-def test_expected_patterns_are_those_of_the_open_benchmark() -> None:
+def test_expected_patterns_agree_with_the_open_benchmark() -> None:
     acquisitions = pd.read_csv(ACQUISITIONS)
     acquisitions = acquisitions[
         (acquisitions["option"] == "target_error") & (acquisitions["status"] == "done")

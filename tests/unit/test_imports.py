@@ -1,4 +1,4 @@
-"""``import rfpipe`` stays light, and its public names are found when asked for."""
+"""``import rfpipe`` loads few modules; public names load theirs on first access."""
 
 import subprocess
 import sys
@@ -11,7 +11,7 @@ HEAVY = ["zarr", "numba", "scipy", "pandas", "dask", "colour", "matplotlib", "Op
 
 
 def loaded_after(statement: str) -> set[str]:
-    """Top-level packages that a fresh interpreter holds after a statement."""
+    """Return the top-level packages that a new interpreter has loaded after a statement."""
     code = f"{statement}\nimport sys\nprint(*{{name.partition('.')[0] for name in sys.modules}})"
     done = subprocess.run(
         [sys.executable, "-c", code], check=True, capture_output=True, text=True, timeout=60
@@ -27,7 +27,7 @@ def loaded_after(statement: str) -> set[str]:
         ("rfpipe.rigs, rfpipe.server", ["fastapi", "uvicorn", "httpx", "pypylon", "pygame"]),
     ],
 )
-def test_import_is_light(modules: str, unused: list[str]) -> None:
+def test_import_loads_few_modules(modules: str, unused: list[str]) -> None:
     assert loaded_after(f"import {modules}").isdisjoint({*unused, "matplotlib"})
 
 

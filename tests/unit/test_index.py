@@ -1,4 +1,4 @@
-"""The index of tasks: each command in it exists, each link of a document leads somewhere."""
+"""The index of tasks and the links of all documents: commands and targets exist."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ COMMANDS = [command for row in ROWS for command in re.findall(r"`([^`]+)`", row[
 
 
 def headings(page: Path) -> set[str]:
-    """Return the anchors of a page's headings, as GitHub makes them."""
+    """Return the anchors that GitHub generates for a page's headings."""
     text = re.sub(r"^```.*?^```", "", page.read_text("utf-8"), flags=re.M | re.S)
     titles = re.findall(r"^#+ (.*)$", text, re.M)
     return {re.sub(r"[^\w\- ]", "", title.lower()).replace(" ", "-") for title in titles}
 
 
 def check_options(command: Any, words: list[str]) -> None:
-    """Fail where a command has no such option, or no such subcommand."""
+    """Check that a command has the given options and subcommands."""
     if hasattr(command, "list_commands"):
         context = typer.Context(command)
         assert words[0] in command.list_commands(context)
@@ -68,7 +68,7 @@ def test_each_command_exists(line: str) -> None:
 
 def test_the_index_leads_to_each_command_and_each_page() -> None:
     command: Any = typer.main.get_command(app)
-    names = {*command.list_commands(typer.Context(command))} - {"run"}  # by make run
+    names = {*command.list_commands(typer.Context(command))} - {"run"}  # run by make run
     used = {line.split()[1] for line in COMMANDS if line.startswith("rfpipe ")}
     assert names - used == set()
     linked = set(re.findall(r"\]\(([\w-]+\.(?:md|ipynb))", INDEX.read_text("utf-8")))

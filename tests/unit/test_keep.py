@@ -40,7 +40,7 @@ def server(validators: str) -> Iterator[str]:
 
 @pytest.fixture
 def faults(server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Faults]:
-    """A proxy in front of the server, which the environment names."""
+    """A proxy in front of the server; the environment has its address."""
     with proxy(server) as summary:
         use(monkeypatch, summary.endpoint)
         yield summary
@@ -48,7 +48,7 @@ def faults(server: str, monkeypatch: pytest.MonkeyPatch) -> Iterator[Faults]:
 
 @pytest.fixture
 def address() -> str:
-    """A folder of its own in the bucket."""
+    """Address of a new folder in the bucket."""
     return f"s3://{BUCKET}/run{next(_folders)}"
 
 
@@ -90,7 +90,7 @@ def test_results_are_uploaded_once_and_readable_in_the_bucket(
     before = len(faults.requests)
     second = upload(run, address)
     assert (second.objects, second.sent) == (len(names), 0)
-    assert len(faults.requests) - before == 2  # the bucket's objects, and its own list
+    assert len(faults.requests) - before == 2  # a listing of the bucket, and its list of files
 
     write_transport(run, "shelf", np.ones((3, N, N)))
     (run / "results/report/index.html").write_text("<h1>Another</h1>")
@@ -102,7 +102,7 @@ def test_results_are_uploaded_once_and_readable_in_the_bucket(
         rfpipe.open_transport(address)
     light = np.random.default_rng(3).random(SHAPE)
     local = rfpipe.open_transport(run / "results/desk").relight(light)
-    for signed in (True, False):  # of a public bucket without credentials
+    for signed in (True, False):  # a public bucket needs no credentials
         use(monkeypatch, faults.endpoint, signed=signed)
         remote = rfpipe.open_transport(f"{address}/results/desk")
         assert np.array_equal(remote.relight(light), local)

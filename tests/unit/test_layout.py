@@ -1,4 +1,4 @@
-"""Which ray each projector pixel shows."""
+"""Projector layouts: the ray of each projector pixel."""
 
 import numpy as np
 import pytest

@@ -1,4 +1,4 @@
-"""``requirements.lock`` holds pyproject's dependencies: versions and hashes, no addresses."""
+"""``requirements.lock``: versions and hashes of all dependencies, without addresses."""
 
 import re
 import tomllib

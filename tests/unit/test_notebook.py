@@ -1,4 +1,4 @@
-"""The notebook runs from top to bottom, meets its target, and shows what its stored outputs do."""
+"""The notebook runs, meets its target error, and reproduces its stored outputs."""
 
 import re
 from itertools import groupby
@@ -14,7 +14,7 @@ NOTEBOOK = Path(__file__).parents[2] / "docs" / "first_steps.ipynb"
 
 
 def kinds(cell: nbformat.NotebookNode) -> list[tuple[str, ...]]:
-    """In what forms the outputs of a cell are; what is printed may come in one piece or more."""
+    """Return the types of a cell's outputs; printed text may come in several pieces."""
     forms = [(output.output_type, *sorted(output.get("data", ()))) for output in cell.outputs]
     return [form for form, _ in groupby(forms)]
 
@@ -23,7 +23,7 @@ NUMBER = re.compile(r"-?\d[\d,]*\.?\d*(?:e[-+]\d+)?")
 
 
 def check_alike(after: str, before: str) -> None:
-    """Fail where texts differ, or their numbers by more than another processor explains."""
+    """Check that texts are equal and their numbers agree within differences of processors."""
     advice = (
         "it is not what the notebook shows; run jupyter execute --inplace docs/first_steps.ipynb"
     )
@@ -43,7 +43,7 @@ def texts(cell: nbformat.NotebookNode) -> str:
     return "\n".join(shown)
 
 
-@pytest.mark.filterwarnings("default")  # Jupyter's own
+@pytest.mark.filterwarnings("default")  # warnings of Jupyter
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("IPYTHONDIR", "JUPYTER_RUNTIME_DIR", "JUPYTER_CONFIG_DIR"):
         monkeypatch.setenv(name, str(tmp_path / name))

@@ -221,7 +221,7 @@ def test_a_file_in_place_of_the_calibration_s_folder_is_refused(run_folder: Path
 @pytest.mark.parametrize(
     "command", [name for name, allowed in OUTPUTS.items() if FOLDER in allowed]
 )
-def test_a_path_where_no_folder_can_be_created_is_named(run_folder: Path, command: str) -> None:
+def test_a_path_where_no_folder_can_be_created_is_reported(run_folder: Path, command: str) -> None:
     with pytest.raises(StoreError) as caught:
         run(*INPUTS[command], "-o", "/proc/absent")
     assert str(caught.value.place).startswith(("/proc/absent", "/proc/.absent"))

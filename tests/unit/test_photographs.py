@@ -34,7 +34,7 @@ def test_sets_that_are_missing_are_named(
 
 def test_truth_of_squares_is_the_mean_of_steady_lit_pixels(tmp_path: Path) -> None:
     column = np.repeat(np.arange(8), 2)[None].repeat(4, axis=0)  # a ray is 2 pixels wide
-    column[:, 8:] += 5 * (np.arange(8) % 2)  # and jumps within the last two squares
+    column[:, 8:] += 5 * (np.arange(8) % 2)  # with a jump within the last two squares
     row, lit = np.full((4, 16), 7), np.ones((4, 16), np.bool_)
     lit[0, 0], lit[:, 12:] = False, False
     np.savez(tmp_path / "truth.npz", row=row, column=column, lit=lit)

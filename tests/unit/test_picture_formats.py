@@ -59,7 +59,7 @@ def png(pixels: NDArray[Any], *chunks: bytes) -> bytes:
 
 
 def encoded(pixels: NDArray[Any], form: str, **options: Any) -> bytes:
-    """Return a file as Pillow writes it."""
+    """Return a file written by Pillow."""
     file, image = BytesIO(), Image.fromarray(pixels)
     image.convert(options.pop("mode", image.mode)).save(file, form, **options)
     return file.getvalue()
@@ -81,7 +81,7 @@ def written(
     names: tuple[str, ...] = (),
     **attributes: Any,
 ) -> bytes:
-    """Return a file as OpenImageIO writes it.
+    """Return a file written by OpenImageIO.
 
     `data` is (x, y) of the data window, `display` (x, y, width, height) of the display window.
     """
@@ -104,7 +104,7 @@ def written(
 
 
 def radiance(pixels: NDArray[Any], *lines: str, order: str = "-Y {h} +X {w}") -> bytes:
-    """Return a Radiance file of whole numbers below 256, row after row as they are given."""
+    """Return a Radiance file of integers below 256, with rows in the given order."""
     scanlines = np.zeros((pixels.shape[0] * pixels.shape[1], 4), np.uint8)
     scanlines[:, :3], scanlines[:, 3] = pixels.reshape(-1, 3), 136
     head = "\n".join(["#?RADIANCE", *lines, "FORMAT=32-bit_rle_rgbe", "", order, ""])
@@ -112,7 +112,7 @@ def radiance(pixels: NDArray[Any], *lines: str, order: str = "-Y {h} +X {w}") ->
 
 
 def turned(pixels: NDArray[Any], order: str) -> NDArray[Any]:
-    """Return scanlines of upright pixels in a Radiance file of an order such as +X -Y."""
+    """Return the scanlines of an image in the order of a Radiance file, such as +X -Y."""
     if "+Y" in order:
         pixels = pixels[::-1]
     if "-X" in order:
@@ -121,7 +121,7 @@ def turned(pixels: NDArray[Any], order: str) -> NDArray[Any]:
 
 
 def pfm(pixels: NDArray[np.float32], scale: float = -1.0) -> bytes:
-    """Return a PFM file, whose rows go from the bottom to the top."""
+    """Return a PFM file, with its rows from bottom to top."""
     kind = "PF" if pixels.shape[-1] == 3 else "Pf"
     order = "<f4" if scale < 0 else ">f4"
     head = f"{kind}\n{pixels.shape[1]} {pixels.shape[0]}\n{scale}\n".encode()
@@ -129,7 +129,7 @@ def pfm(pixels: NDArray[np.float32], scale: float = -1.0) -> bytes:
 
 
 def tga(pixels: NDArray[np.uint8], top: bool) -> bytes:
-    """Return a TGA file, not compressed, with its origin at the top or the bottom."""
+    """Return an uncompressed TGA file with its origin at the top or bottom."""
     height, width, channels = pixels.shape
     origin = 0x20 if top else 0
     head = struct.pack(
@@ -147,7 +147,7 @@ def placed(x: int, y: int, width: int, height: int) -> NDArray[np.float32]:
 
 
 def packed_tiff(bits: int, photometric: int = 1) -> bytes:
-    """Return a gray TIFF of samples of 9 to 15 bits, one after the other."""
+    """Return a gray TIFF file with packed samples of 9 to 15 bits."""
     text = "".join(f"{count:0{bits}b}" for count in COUNTS_OF_FEW_BITS.ravel())
     data = np.frombuffer(int(text, 2).to_bytes(len(text) // 8, "big"), np.uint8)
     tags = {256: COUNTS_OF_FEW_BITS.shape[1], 258: bits}
@@ -342,8 +342,8 @@ def test_a_file_is_refused_with_its_reason(tmp_path: Path, name: str) -> None:
             read(file)
 
 
-def test_a_whole_jpeg_is_not_taken_for_a_cut_one(tmp_path: Path) -> None:
-    """Padding before the end and bytes behind it are harmless, as cameras write them."""
+def test_a_complete_jpeg_is_not_reported_as_truncated(tmp_path: Path) -> None:
+    """Cameras write padding before the end and bytes after it; both are harmless."""
     data = CUT["jpeg"]
     for index, harmless in enumerate((data, data + b"trailer", data[:-2] + b"\0\0" + data[-2:])):
         (tmp_path / f"{index}.jpg").write_bytes(harmless)
@@ -359,7 +359,7 @@ def test_a_folder_with_the_name_of_a_picture_is_refused(tmp_path: Path, suffix: 
 
 
 def test_damage_anywhere_in_an_exr_header_raises_no_other_error(tmp_path: Path) -> None:
-    """OpenImageIO's message may hold bytes of the file, which are no text."""
+    """OpenImageIO's message may contain bytes of the file that aren't valid text."""
     data = written(FLOATS, "exr", ExposureTime=0.25, Make="camera")
     refused = 0
     for place in range(0, data.index(b"screenWindowWidth"), 3):
@@ -502,7 +502,7 @@ COLORS = {"R": 5000, "G": 1000, "B": 9000}
 
 
 def raw_file(mosaic: str, size: tuple[int, int] = (36, 48), **options: Any) -> bytes:
-    """Return a DNG of one even colour, `COLORS` in counts."""
+    """Return a DNG file of a uniform colour, `COLORS` in counts."""
     period = int(len(mosaic) ** 0.5)
     tile = np.array([COLORS[letter] for letter in mosaic], np.uint16).reshape(period, period)
     counts = np.tile(tile, (size[0] // period, size[1] // period))
@@ -525,7 +525,7 @@ def test_raw_files_are_developed_to_linear_colours(tmp_path: Path, mosaic: str) 
 
 
 def test_developing_does_not_depend_on_the_picture(tmp_path: Path) -> None:
-    """A dim picture is not brightened, and a bright one not dimmed."""
+    """Dim pictures are not brightened, and bright ones not dimmed."""
     for name, level in (("dim", 612), ("bright", 12_512)):
         counts = np.full((32, 48), level, np.uint16)
         file = tmp_path / f"{name}.dng"
@@ -546,7 +546,7 @@ MOSAICS: dict[str, tuple[str, str | None, str | None]] = {
 
 
 @pytest.mark.parametrize("name", MOSAICS)
-def test_the_mosaic_of_a_raw_file_is_that_of_the_settings(tmp_path: Path, name: str) -> None:
+def test_the_mosaic_of_a_raw_file_must_equal_the_settings(tmp_path: Path, name: str) -> None:
     mosaic, bayer, message = MOSAICS[name]
     (tmp_path / "a.dng").write_bytes(raw_file(mosaic))
     header = read_header(tmp_path / "a.dng")
@@ -563,7 +563,7 @@ def test_the_mosaic_of_a_raw_file_is_that_of_the_settings(tmp_path: Path, name: 
 
 
 def sequence(folder: Path, *names: str) -> list[Path]:
-    """Return files of different contents, sorted as `picture_files` sorts them."""
+    """Return files with different contents, in the order of `picture_files`."""
     for name in names:
         (folder / name).write_bytes(name.encode())
     return picture_files(folder, (".jpg",))

@@ -13,7 +13,7 @@ from rfpipe.provenance import code_digest, fingerprint, generator, versions
 
 
 def test_fingerprint_is_the_same_in_every_process() -> None:
-    # a changed value would make every stored capture look stale
+    # a changed value would make all stored captures stale
     assert fingerprint({"b": [1, 2.5], "a": None}) == fingerprint({"a": None, "b": (1, 2.5)})
     run = settings_of_a_plane()
     assert fingerprint(run) == fingerprint(run.model_dump(mode="json"))
@@ -109,7 +109,7 @@ def test_code_that_displays_results_only_counts_for_pages(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def digests(name: str) -> tuple[str, str]:
-        """Digests, without and with pages, where one module differs."""
+        """Return digests, without and with pages, after a change of one module."""
         package = tmp_path / name.replace("/", "_")
         for file in ("methods/dual.py", "report/page.py", "jobs/job.py"):
             (package / file).parent.mkdir(parents=True, exist_ok=True)

@@ -17,10 +17,10 @@ from rfpipe.rigs.offline import offline_rig
 from rfpipe.scenes import MatrixScene, scene_from_config
 
 SHAPE = (4, 5)
-CAMERA = CameraModel()  # takes radiance up to 2
+CAMERA = CameraModel()  # full scale is at radiance 2
 BENCH = {"kind": "devices", "projector": {}, "camera": {}}
 
-FAULTS = {  # radiance under floodlight: share that is named, word of the fault
+FAULTS = {  # radiance under floodlight: fraction in the message, word of the fault
     FloodlitFault.BRIGHT: (5.0, "saturated"),
     FloodlitFault.DARK: (1e-9, "all black"),
 }
@@ -44,7 +44,7 @@ def simulated(kind: RigKind, radiance: float) -> Any:
 
 @pytest.mark.parametrize("kind", MEANS)
 @pytest.mark.parametrize("fault", FAULTS)
-def test_a_simulated_rig_is_changed_by_its_settings(
+def test_remedies_of_a_simulated_rig_name_its_settings(
     tmp_path: Path, fault: FloodlitFault, kind: RigKind
 ) -> None:
     radiance, word = FAULTS[fault]
@@ -59,7 +59,7 @@ def test_a_simulated_rig_is_changed_by_its_settings(
 
 
 @pytest.mark.parametrize("kind", MEANS)
-def test_in_memory_it_is_changed_in_python(kind: RigKind) -> None:
+def test_remedies_in_memory_name_python_arguments(kind: RigKind) -> None:
     with pytest.raises(CaptureError, match="noise=None") as caught:
         rfpipe.acquire(simulated(kind, 5.0), "brute_force", progress=False)
     assert "aperture" not in str(caught.value)
@@ -71,7 +71,7 @@ def test_the_largest_radiance_of_the_camera_is_named() -> None:
         rfpipe.acquire(simulated(RigKind.PYTHON, 5.0), "brute_force", progress=False)
 
 
-def test_each_kind_of_rig_has_a_remedy_of_each_fault() -> None:
+def test_each_kind_of_rig_has_a_remedy_for_each_fault() -> None:
     for fault in FloodlitFault:
         assert set(REMEDIES[fault]) == set(RigKind)
     offline = offline_rig(OfflineConfig(), CameraConfig(), SHAPE, SHAPE, 1)

@@ -1,4 +1,4 @@
-"""Transports are opened from a folder, a zip file or an address, and relight bit for bit alike."""
+"""Transports in folders, zip files and at addresses: opening, equal bytes, damage."""
 
 import base64
 import hashlib
@@ -51,7 +51,7 @@ def relit(run: Path, light: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("name", ["crate.zip", f"crate.zip/{DESK}", "store.zip", "results/desk"])
-def test_a_zip_file_or_folder_that_holds_a_transport_opens(
+def test_a_zip_file_or_folder_with_one_transport_opens(
     name: str, run: Path, light: np.ndarray, relit: np.ndarray
 ) -> None:
     transport = rfpipe.open_transport(run / name)
@@ -88,7 +88,7 @@ def test_a_store_behind_an_address_opens(run: Path, light: np.ndarray, relit: np
         transport = rfpipe.open_transport(f"{server.address}/{DESK}")
         assert len(server.requests) == 2
         assert np.array_equal(transport.relight(light), relit)
-        # a Path made of an address has lost a slash
+        # a Path of an address has one slash less
         transport = rfpipe.open_transport(Path(f"{server.address}/{DESK}"))
         assert np.array_equal(transport.relight(light), relit)
 
@@ -136,7 +136,7 @@ def test_invalid_addresses_are_explained(
         assert hidden not in str(caught.value)
 
 
-def test_damage_is_found_wherever_it_lies(run: Path, tmp_path: Path) -> None:
+def test_damage_is_found_at_any_address(run: Path, tmp_path: Path) -> None:
     content = bytearray((run / "crate.zip").read_bytes())
     with zipfile.ZipFile(run / "crate.zip") as archive:
         inside = next(info for info in archive.infolist() if "codes/c.0" in info.filename)
@@ -180,7 +180,7 @@ def test_a_zip_of_transports_is_verified_where_it_lies(run: Path) -> None:
         verified(run / "nothing.zip")
 
 
-def test_what_a_published_folder_on_a_web_server_lacks_is_found(tmp_path: Path) -> None:
+def test_missing_files_of_a_folder_on_a_web_server_are_found(tmp_path: Path) -> None:
     files = {"a.txt": b"of a publication", "b.txt": b"of one", "c.txt": b"", "d.txt": b"of one"}
     listed = [f"{hashlib.sha256(of).hexdigest()}  {name}\n" for name, of in files.items()]
     (tmp_path / "manifest-sha256.txt").write_text("".join(listed))

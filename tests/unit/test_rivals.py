@@ -1,4 +1,4 @@
-"""Methods from elsewhere, that the benchmark compares: compressive sensing and optical low rank."""
+"""Methods of other authors in the benchmark: compressive sensing and optical low rank."""
 
 from __future__ import annotations
 

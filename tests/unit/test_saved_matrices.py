@@ -1,4 +1,4 @@
-"""Matrices in files: read back by readers that aren't rfpipe's, streamed, whole or absent."""
+"""Matrices in files: readable by other programs, streamed, and complete or absent."""
 
 import math
 import sys
@@ -26,7 +26,7 @@ def transport_of(channels: int) -> DenseTransport:
 
 
 def read(path: Path) -> dict[str, NDArray]:
-    """Read a file as its own users would; T as (C, rows, columns), with its channels."""
+    """Read a file with a library of its format; T has the shape (C, rows, columns)."""
     if path.suffix == ".npz":
         with np.load(path) as archive:
             return dict(archive)
@@ -55,7 +55,7 @@ def test_other_programs_read_the_matrix(tmp_path: Path, suffix: str, channels: i
 
 @pytest.mark.parametrize("suffix", MATRIX_FILES)
 @pytest.mark.parametrize(("rows", "columns"), [([7, 2], None), (None, [9]), ([3], [1, 0])])
-def test_chosen_rays(tmp_path: Path, suffix: str, rows, columns) -> None:
+def test_selected_rays_are_written(tmp_path: Path, suffix: str, rows, columns) -> None:
     path = tmp_path / f"matrix{suffix}"
     transport_of(3).save(path, rows=rows, columns=columns)
     saved = read(path)
@@ -76,7 +76,7 @@ def test_parts_make_the_same_matrix(tmp_path: Path, monkeypatch, suffix: str, du
 
 
 def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
-    """What docs/export.md tells MATLAB's users to do, in numpy's words for it."""
+    """The steps of docs/export.md for MATLAB, in NumPy."""
     path = tmp_path / "matrix.mat"
     transport = DenseTransport((3, 5), (4, 6), 3, [], {"matrix": matrix_of(3)})
     transport.save(path)
@@ -102,14 +102,16 @@ def test_a_mat_file_gives_images_as_the_documents_say(tmp_path: Path) -> None:
         ("matrix.mat", {"columns": [24]}, "columns: index 24 is out of bounds"),
     ],
 )
-def test_refused(tmp_path: Path, name: str, options, message: str) -> None:
+def test_invalid_suffixes_and_rays_are_refused(
+    tmp_path: Path, name: str, options, message: str
+) -> None:
     with pytest.raises(InputError, match=message):
         transport_of(3).save(tmp_path / name, **options)
     assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("suffix", MATRIX_FILES)
-def test_an_interrupted_export_leaves_what_was_there(tmp_path: Path, suffix: str) -> None:
+def test_an_interrupted_export_keeps_the_previous_file(tmp_path: Path, suffix: str) -> None:
     path = tmp_path / f"matrix{suffix}"
     path.write_text("before")
 
@@ -136,7 +138,7 @@ def test_the_extra_is_named_where_its_package_is_missing(
 
 
 def test_a_large_matrix_is_written_in_little_memory(tmp_path: Path, monkeypatch) -> None:
-    """The parts of 15 MB of zeros, which are never there at once."""
+    """A matrix of 15 MB of zeros is written in parts."""
     import tracemalloc
 
     rays = (40, 48)

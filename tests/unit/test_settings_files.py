@@ -1,4 +1,4 @@
-"""Every command that reads a settings file says the same of one that can't be read."""
+"""Commands that read settings files: equal messages for an unreadable file."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ COMMANDS = {
         ("empty.yaml", r"^empty\.yaml: is empty"),
     ],
 )
-def test_a_file_that_cannot_be_read(
+def test_an_unreadable_file_has_the_same_message_in_every_command(
     command: str, name: str, message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)

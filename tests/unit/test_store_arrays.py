@@ -1,4 +1,4 @@
-"""Array bundles: complete or absent, verified, the same bytes each time."""
+"""Array bundles: complete or absent, verified, and with reproducible bytes."""
 
 from pathlib import Path
 from typing import Any
@@ -53,7 +53,7 @@ def test_arrays_are_read_as_written(tmp_path: Path) -> None:
     assert [p.name for p in path.parent.iterdir()] == ["transport.zarr"]
 
 
-def test_bytes_and_digest_are_the_same_each_time_and_in_any_order(tmp_path: Path) -> None:
+def test_bytes_and_digest_are_reproducible_and_independent_of_order(tmp_path: Path) -> None:
     arrays = example()
     backwards = dict(reversed(arrays.items()))
     first = write_arrays(tmp_path / "a", arrays, ATTRIBUTES)
@@ -71,10 +71,10 @@ def test_digest_depends_on_names_values_dtypes_shapes_and_attributes(tmp_path: P
     digests = [write_arrays(tmp_path / "s", bundle, {}) for bundle in arrays]
     digests += [write_arrays(tmp_path / "s", {"a": zeros}, {"level": 1})]
     assert len(set(digests)) == len(digests)
-    assert open_arrays(tmp_path / "s").attributes == {"level": 1}  # in place of the one before
+    assert open_arrays(tmp_path / "s").attributes == {"level": 1}  # replaces the previous bundle
 
 
-def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
+def test_partial_files_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
     write_arrays(tmp_path / "s", {"a": np.arange(3)}, {})
     intact = contents(tmp_path / "s")
     for leftover in (".s.new", ".s.removed"):
@@ -114,7 +114,7 @@ def test_altered_attributes_are_found(tmp_path: Path, old: str, new: str, named:
     metadata.write_text(metadata.read_text().replace(old, new))
     with pytest.raises(IntegrityError, match=named):
         open_arrays(tmp_path / "s")
-    write_arrays(tmp_path / "s", {"a": np.arange(5)}, ATTRIBUTES)  # a damaged bundle may go
+    write_arrays(tmp_path / "s", {"a": np.arange(5)}, ATTRIBUTES)  # may be replaced
     assert open_arrays(tmp_path / "s").names == ("a",)
 
 

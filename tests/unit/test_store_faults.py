@@ -1,4 +1,4 @@
-"""What kills, full disks and forbidden folders leave behind."""
+"""Stores after killed writers, full disks and missing permissions."""
 
 import fcntl
 import os
@@ -20,7 +20,7 @@ from rfpipe.store.chunks import ChunkedArray
 from rfpipe.store.journal import JournalWriter, read_journal
 
 N_ITEMS = 240
-# Writes frames that depend on their index alone, slowly enough to be hit anywhere.
+# Writes frames that depend only on their index, slowly enough to be killed at any point.
 WRITER = """
 import sys, time
 from pathlib import Path
@@ -62,7 +62,7 @@ store.close()
 
 
 def running(code: str, path: Path, says: bytes) -> subprocess.Popen[bytes]:
-    """Start a program that says something, and wait until it has."""
+    """Start a program and wait until it prints its first line."""
     program = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
     assert program.stdout is not None
     assert program.stdout.readline() == says
@@ -72,7 +72,7 @@ def running(code: str, path: Path, says: bytes) -> subprocess.Popen[bytes]:
 def start_writer(
     path: Path, chunks: tuple[int, int], pause: float, last: float = np.inf
 ) -> subprocess.Popen[bytes]:
-    """Start a writer; after frame `last` it waits for whoever kills it."""
+    """Start a writer, which waits after frame `last` until it is killed."""
     arguments = [str(path), str(N_ITEMS), *map(str, chunks), str(pause), str(last)]
     return subprocess.Popen([sys.executable, "-c", WRITER, *arguments])
 
@@ -124,7 +124,7 @@ def test_acquire_waits_for_the_lock_of_a_crashed_machine(
 
         def served(seconds: float) -> None:
             waits.append(seconds)
-            if len(waits) == 3:  # the file server gives up the dead machine's lock
+            if len(waits) == 3:  # the file server releases the lock of the crashed machine
                 remote_lock.release()
 
         monkeypatch.setattr(lock.time, "sleep", served)
@@ -142,7 +142,7 @@ def test_acquire_waits_for_the_lock_of_a_crashed_machine(
 def test_a_lock_file_removed_by_its_last_holder_is_created_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # the last holder removes the file between the newcomer's open and its lock
+    # the last holder removes the file after another process has opened it
     lock_file, flock = tmp_path / ".s.lock", fcntl.flock
     calls: list[int] = []
 
@@ -222,7 +222,7 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
         with pytest.raises(StoreError, match=r"items from 4 on failed.*Input/output error"):
             store.write(2, frames[2:])
         monkeypatch.undo()
-        # nor is one entered whose block was written in part
+        # nor an item whose block was written partially
         assert store.missing() == [(2, 6)]
         assert read_journal(journal, 6).keys() == {0, 1}
         store.write(2, frames[2:])

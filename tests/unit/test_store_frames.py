@@ -65,7 +65,7 @@ def test_frames_are_read_as_written(
     assert bytes_on_disk(path) == sum(map(len, ours.values()))
     for start, stop in ((0, 7), (1, 4), (5, 5)):
         np.testing.assert_array_equal(reader.read(start, stop), frames[start:stop])
-    # any zarr reader opens it, and zarr itself would write the same files
+    # any zarr reader opens it, and zarr writes the same files
     np.testing.assert_array_equal(zarr.open_array(path, mode="r")[...], frames)
     zarr.open_array(path, mode="r+")[...] = frames
     assert contents(path) == ours
@@ -110,8 +110,8 @@ def test_a_shard_is_written_by_chunk_and_appears_when_complete(tmp_path: Path) -
     assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames)
 
 
-def test_large_frames_compress_to_the_same_bytes_each_time(tmp_path: Path) -> None:
-    # blosc with several threads would lay its blocks down as they finish
+def test_large_frames_compress_to_reproducible_bytes(tmp_path: Path) -> None:
+    # with several threads blosc would order blocks by their completion
     frames = counts((1, 700, 900, 3))
     filled(tmp_path / "a", frames)
     filled(tmp_path / "b", frames)
@@ -243,7 +243,7 @@ def test_an_altered_journal_line_is_ignored(tmp_path: Path, line: bytes) -> None
     assert contents(path) == intact
 
 
-def test_leftovers_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
+def test_partial_files_of_a_killed_writer_are_removed(tmp_path: Path) -> None:
     path = tmp_path / "s"
     (tmp_path / ".s.new").mkdir()
     (tmp_path / ".s.new" / "zarr.json").write_text("half")
@@ -270,7 +270,7 @@ def test_a_second_writer_is_refused(tmp_path: Path) -> None:
         with pytest.raises(StoreError, match="item 4 is captured already"):
             store.write(4, frames[:3])
         np.testing.assert_array_equal(store.read(0, 7), frames)
-    store.close()  # a second time does nothing
+    store.close()  # a second call has no effect
     with pytest.raises(StoreError, match="isn't open for writing"):
         store.write(0, frames[:1])
 
@@ -291,7 +291,7 @@ def test_a_stale_store_is_refused_until_discarded(
         create(tmp_path / "s", **change)
     assert contents(tmp_path / "s") == intact
     FrameStore.discard(tmp_path / "s")
-    FrameStore.discard(tmp_path / "s")  # nothing there is fine
+    FrameStore.discard(tmp_path / "s")  # discarding a missing store is no error
     assert list(tmp_path.iterdir()) == []
     with create(tmp_path / "s", **change) as store:
         assert not store.done.any()
@@ -350,4 +350,4 @@ def test_damaged_metadata_are_named(tmp_path: Path, content: bytes) -> None:
         with pytest.raises(IntegrityError, match="damaged metadata") as caught:
             opening(tmp_path / "s")
         assert caught.value.place == tmp_path / "s" / "zarr.json"
-    FrameStore.discard(tmp_path / "s")  # and not locked
+    FrameStore.discard(tmp_path / "s")  # and the store is not locked

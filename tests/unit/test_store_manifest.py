@@ -1,4 +1,4 @@
-"""Manifests: canonical, atomic, damage found."""
+"""Manifests: canonical bytes, atomic writes, detection of damage."""
 
 import os
 import subprocess

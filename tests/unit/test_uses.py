@@ -1,4 +1,4 @@
-"""What people do with a transport: what sees what, depth, and patterns that make pictures."""
+"""Uses of a transport: correspondences, depth, separation of light, and inverse patterns."""
 
 import os
 import subprocess
@@ -20,7 +20,7 @@ CAMERA, LAMP = Pinhole((24, 30)), Pinhole((28, 34), (1.72, 0.0, 0.54), (0.0, 0.0
 
 @pytest.fixture(scope="module")
 def aside():
-    """The exact transport of a wedge lit from aside, and the points that the camera sees."""
+    """The exact transport of a wedge with a displaced projector, and the visible points."""
     scene = planes_scene(
         "wedge_120", ("texture", "white"), CAMERA.shape, projector=LAMP, channels=1
     )
@@ -29,19 +29,19 @@ def aside():
     return rfpipe.acquire(rig, "brute_force", progress=False).transport, points
 
 
-def test_places_are_those_of_the_geometry(aside) -> None:
+def test_correspondences_equal_the_geometry(aside) -> None:
     transport, points = aside
     correspondence = transport.correspondence()
     places = LAMP.project(points).reshape(*CAMERA.shape, 2)
     off = np.linalg.norm(correspondence.places - places, axis=-1)[correspondence.mask]
     assert correspondence.mask.mean() > 0.8
     assert np.median(off) < 0.15
-    # the matrices that others triangulate by
+    # projection matrices for triangulation by other programs
     projected = np.column_stack([points, np.ones(len(points))]) @ LAMP.matrix.T
     np.testing.assert_allclose(projected[:, 1::-1] / projected[:, 2:], LAMP.project(points))
 
 
-def test_places_between_two_rays_are_told() -> None:
+def test_correspondences_between_two_rays_are_interpolated() -> None:
     shape = (12, 40)
     direct = (np.eye(480) + np.eye(480, k=1)) / 2
     entries = direct + np.random.default_rng(1).uniform(0, 1e-4, direct.shape)
@@ -51,7 +51,7 @@ def test_places_between_two_rays_are_told() -> None:
     np.testing.assert_allclose(places, truth, atol=0.1)
 
 
-def test_a_pattern_makes_what_is_within_reach(aside) -> None:
+def test_a_reachable_picture_is_reproduced_by_its_pattern(aside) -> None:
     transport, _ = aside
     lit = np.random.default_rng(1).uniform(0.2, 0.8, LAMP.shape)
     solution = transport.pattern_for(transport.relight(lit)[..., 0])
@@ -61,15 +61,15 @@ def test_a_pattern_makes_what_is_within_reach(aside) -> None:
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-def test_light_is_told_by_how_far_it_has_come(mirrored) -> None:
+def test_light_is_separated_by_distance(mirrored) -> None:
     shape, rng = (26, 34), np.random.default_rng(1)
     rays = np.indices(shape).reshape(2, -1)
     apart = np.abs(rays[:, :, None] - rays[:, None]).max(axis=0)
     entries = rng.uniform(0, 1e-3, apart.shape)
     entries[apart == 0] = 1
     ranges = {"direct": apart <= 2, "near": apart == 3, "far": apart > 7}
-    entries *= sum(ranges.values())  # at ranges between, some is near and some is far
-    if mirrored:  # places are other rays
+    entries *= sum(ranges.values())  # light at ranges in between is partly near and partly far
+    if mirrored:  # positions belong to other rays
         order = np.arange(apart.shape[0]).reshape(shape)[:, ::-1].ravel()
         entries, ranges = entries[order], {name: mask[order] for name, mask in ranges.items()}
     transport = transport_of(entries, shape)
@@ -83,7 +83,7 @@ def test_light_is_told_by_how_far_it_has_come(mirrored) -> None:
 
 
 @pytest.mark.parametrize(("method", "within"), [("auto", 0.02), ("symmetric", 0.01)])
-def test_every_method_separates_alike(method, within) -> None:
+def test_separation_agrees_between_methods(method, within) -> None:
     scene = planes_scene("wedge_30", ("white", "texture"), (32, 32), channels=1)
     made = []
     for by, noise in (("brute_force", None), (method, rfpipe.CameraModel())):
@@ -137,7 +137,7 @@ def test_options_out_of_range_are_rejected(aside) -> None:
         ),
     ],
 )
-def test_rays_without_places_are_rejected(shape, light, calls, match) -> None:
+def test_rays_without_positions_are_rejected(shape, light, calls, match) -> None:
     transport = transport_of(light * np.eye(np.prod(shape)), shape)
     for call in calls:
         arguments = () if call == "correspondence" else (np.ones(shape),)
@@ -150,9 +150,7 @@ USES = sorted((Path(__file__).parents[2] / "docs/uses").glob("*.py"))
 
 @pytest.mark.slow
 @pytest.mark.parametrize("script", USES)
-def test_the_scripts_of_the_page_write_what_they_say_and_nothing_else(
-    script: Path, tmp_path: Path
-) -> None:
+def test_scripts_of_the_page_write_only_the_stated_files(script: Path, tmp_path: Path) -> None:
     project, outputs, temporary = (tmp_path / name for name in ("here", "there", "temporary"))
     for folder in (project, temporary):
         folder.mkdir()
@@ -170,6 +168,6 @@ def test_the_scripts_of_the_page_write_what_they_say_and_nothing_else(
 
 
 @pytest.mark.parametrize("script", USES)
-def test_the_scripts_of_the_page_have_a_folder_by_default(script: Path) -> None:
+def test_scripts_of_the_page_have_a_default_folder(script: Path) -> None:
     assert f"``python docs/uses/{script.name} [SIDE [FOLDER]]``" in script.read_text()
     assert 'else "results/uses")' in script.read_text()

@@ -43,7 +43,7 @@ def rig() -> object:
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "near_far"])
-def test_it_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: str) -> None:
+def test_a_job_of_all_stages_writes_the_files_of_single_stages(tmp_path: Path, method: str) -> None:
     acquire(tmp_path / "job", rig(), method)
     one_by_one = StagewiseAcquisition(tmp_path / "stages", rig())
     one_by_one.plan = Plan.of(method, method, SHAPE, SHAPE, 1)
@@ -52,7 +52,7 @@ def test_it_leaves_what_its_stages_leave_one_by_one(tmp_path: Path, method: str)
     assert stored(tmp_path / "job") == stored(tmp_path / "stages")
 
 
-def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
+def test_a_second_run_repeats_no_work(tmp_path: Path) -> None:
     folder = acquire(tmp_path, rig())
     before = stored(tmp_path)
     stores = [path for path in tmp_path.glob("L*/*") if path.is_dir()]
@@ -70,7 +70,7 @@ def test_what_runs_again_does_nothing_again(tmp_path: Path) -> None:
     assert {name: arrays[name] for name in before} == before
 
 
-def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:
+def test_a_second_process_is_refused_for_one_acquisition(tmp_path: Path) -> None:
     with (
         StoreLock(tmp_path / "mine"),
         pytest.raises(LockedError, match=r"is writing this store .*mine"),
@@ -79,7 +79,7 @@ def test_one_process_at_a_time_works_on_an_acquisition(tmp_path: Path) -> None:
     assert not (tmp_path / "mine").exists()
 
 
-def test_killed_at_any_moment_it_ends_with_the_same_bytes(tmp_path: Path) -> None:
+def test_an_acquisition_killed_at_any_time_ends_with_the_same_bytes(tmp_path: Path) -> None:
     acquire(tmp_path / "first", rig())  # loads all modules
     began = perf_counter()
     acquire(tmp_path / "whole", rig())

@@ -25,7 +25,7 @@ RIG = {
 }  # fmt: skip
 
 
-def test_calibrate_is_a_target_of_its_own(tmp_path: Path) -> None:
+def test_calibrate_runs_each_step_once(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path / "run")
     (workflow.folder / "rig.yaml").write_text(yaml.safe_dump(RIG))
     workflow.configure(rig_file="rig.yaml")

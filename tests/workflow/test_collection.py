@@ -20,7 +20,7 @@ third,wedge,texture white,,6 x 8,1,5,10,3
 
 
 @pytest.mark.slow
-def test_a_scene_that_fails_stops_no_other_and_what_is_done_stays(
+def test_a_failing_scene_stops_no_other_and_finished_scenes_persist(
     tmp_path: Path,
 ) -> None:
     workflow = Workflow(

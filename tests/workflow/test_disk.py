@@ -50,7 +50,7 @@ def acquisition(folder: Path, **settings: Any) -> StagewiseAcquisition:
 NEED = disk_bytes(CAMERA, SHAPE, 1, 2 + 2 + RAYS, RAYS)
 
 
-def test_the_estimate_bounds_what_a_level_takes(tmp_path: Path) -> None:
+def test_the_estimate_bounds_the_disk_space_of_a_level(tmp_path: Path) -> None:
     mine = acquisition(tmp_path)
     before = bytes_on_disk(tmp_path)
     for stage in (mine.capture, mine.merge, mine.normalize):
@@ -83,7 +83,7 @@ def test_a_capture_that_does_not_fit_is_refused_before_the_rig_is_touched(
     mine.capture(0)
 
 
-def test_only_what_is_missing_counts(tmp_path: Path, disk: Disk) -> None:
+def test_only_missing_items_are_counted(tmp_path: Path, disk: Disk) -> None:
     mine = acquisition(tmp_path)
 
     def stops(key: tuple[int, ...], frame: Any) -> Any:

@@ -83,7 +83,7 @@ def images(mine: StagewiseAcquisition) -> np.ndarray:
 pytestmark = pytest.mark.usefixtures("every_ray")
 
 
-def test_what_the_lamp_lost_is_measured_and_told(
+def test_the_loss_of_the_lamp_is_measured_and_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     mine = begun(tmp_path)
@@ -104,7 +104,7 @@ def test_what_the_lamp_lost_is_measured_and_told(
     assert steady.folder.read_manifest(1, "merge")["check_pictures"]["change"] == [0.0] * 8
 
 
-def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> None:
+def test_corrected_images_equal_those_of_a_steady_lamp(tmp_path: Path) -> None:
     steady, dimming = begun(tmp_path / "steady", loss=0.0), begun(tmp_path / "dimming")
     for mine in (steady, dimming):
         mine.capture(1, **WATCHING)
@@ -119,7 +119,7 @@ def test_divided_out_the_images_are_those_of_a_steady_lamp(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("stops_at", [(1, 4), (CHECK_PICTURE_KEY, 1, 2), (CHECK_PICTURE_KEY, 1, 7)])
-def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
+def test_an_interrupted_watched_capture_ends_with_the_same_bytes(
     tmp_path: Path, stops_at: tuple[int, ...]
 ) -> None:
     # for a slowly drifting lamp check pictures aren't repeated
@@ -137,7 +137,7 @@ def test_a_watch_that_was_interrupted_ends_with_the_same_bytes(
     assert manifests[0]["check_pictures"] == manifests[1]["check_pictures"]
 
 
-def test_a_level_begun_without_a_watch_goes_on_without(
+def test_a_level_begun_without_check_pictures_continues_without_them(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     mine = begun(tmp_path)
@@ -151,7 +151,7 @@ def test_a_level_begun_without_a_watch_goes_on_without(
     assert "check_pictures" not in mine.folder.read_manifest(1, "merge")
 
 
-def test_a_changed_interval_leaves_a_level_that_was_begun_as_it_is(tmp_path: Path) -> None:
+def test_a_changed_interval_does_not_affect_a_level_already_begun(tmp_path: Path) -> None:
     mine = begun(tmp_path)
     mine.capture(1, **WATCHING)
     n_pictures = len(mine.rig.keys)

@@ -26,7 +26,7 @@ def _snakemake(folder: Path, *arguments: str) -> str:
     return ended.stdout + ended.stderr
 
 
-def test_without_llvm_make_figures_says_what_to_install() -> None:
+def test_without_llvm_make_figures_names_the_package_to_install() -> None:
     ended = subprocess.run(
         [sys.executable, "-m", "figures", "check"], capture_output=True, text=True, cwd=ROOT,
         env={**os.environ, "DRJIT_LIBLLVM_PATH": "none"}, check=False,
@@ -38,7 +38,7 @@ def test_without_llvm_make_figures_says_what_to_install() -> None:
 
 @pytest.mark.slow
 @pytest.mark.needs("llvm")
-def test_make_figures_leaves_no_figure_missing_or_blank(tmp_path: Path) -> None:
+def test_make_figures_writes_all_figures_and_none_is_blank(tmp_path: Path) -> None:
     settings = yaml.safe_load((ROOT / "figures/figures.yaml").read_text())
     settings["size"] = {"side": 12, "samples": 32, "positions": 3, "sides": [4, 8]}
     config = tmp_path / "tiny.yaml"

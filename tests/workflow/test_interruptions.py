@@ -18,9 +18,7 @@ from tests.workflow.harness import (
 BRUTE = "long/brute_force"
 
 
-def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
-    tmp_path: Path, undisturbed: Workflow
-) -> None:
+def test_a_killed_capture_continues_at_its_pattern(tmp_path: Path, undisturbed: Workflow) -> None:
     workflow = Workflow(tmp_path)
     store = workflow.path(f"{BRUTE}/L00/capture.zarr")
     process = workflow.start(LONG)
@@ -41,7 +39,7 @@ def test_a_capture_killed_in_the_middle_goes_on_at_its_pattern(
 
 
 @pytest.mark.slow
-def test_an_orphaned_capture_keeps_a_second_writer_out(
+def test_an_orphaned_capture_excludes_a_second_writer(
     tmp_path: Path, undisturbed: Workflow
 ) -> None:
     workflow = Workflow(tmp_path)
@@ -64,7 +62,7 @@ def test_an_orphaned_capture_keeps_a_second_writer_out(
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_stopped_capture_closes_its_store_and_goes_on(
+def test_a_stopped_capture_closes_its_store_and_continues(
     tmp_path: Path, undisturbed: Workflow, number: signal.Signals
 ) -> None:
     workflow = Workflow(tmp_path)

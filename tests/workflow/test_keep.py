@@ -17,7 +17,7 @@ ADDRESS = f"s3://{BUCKET}/run"
 
 
 @pytest.mark.slow
-def test_a_run_keeps_its_results_in_a_bucket(
+def test_a_run_uploads_its_results_to_a_bucket(
     of_ones_own: Workflow,
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,

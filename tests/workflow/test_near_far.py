@@ -23,7 +23,7 @@ WEDGE = {
 
 
 @pytest.mark.slow
-def test_a_run_ends_as_an_acquisition_in_process(tmp_path: Path) -> None:
+def test_a_run_gives_the_transport_of_an_acquisition_in_process(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
     workflow.configure(scenes={"wedge": WEDGE}, methods={"near_far": {}})
     workflow.run()

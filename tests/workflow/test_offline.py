@@ -82,7 +82,7 @@ def level_0(tmp_path: Path) -> Path:
     return sheet
 
 
-def test_the_photographer_takes_colour(level_0: Path) -> None:
+def test_the_photographer_takes_colour_pictures(level_0: Path) -> None:
     matrix = np.repeat(symmetric_matrix()[None], 3, axis=0)
     photographer.photograph(level_0, matrix, photographer.counts)
     assert read_picture(level_0 / "pictures" / "IMG_0.tif").header.channels == 3
@@ -91,7 +91,7 @@ def test_the_photographer_takes_colour(level_0: Path) -> None:
 QUIET = {"exposures": [0.5, 2.0], "bits": 16, "black_level_counts": 1000}
 
 
-def test_it_ends_with_the_bytes_of_the_direct_acquisition(tmp_path: Path) -> None:
+def test_an_offline_acquisition_has_the_bytes_of_a_direct_one(tmp_path: Path) -> None:
     """Pictures are taken by an independent script, with the noise of the simulated rig."""
     path = settings_file(tmp_path)
     settings = load_config(path)
@@ -151,7 +151,7 @@ def acquired(tmp_path: Path, settings: Path, matrix_of: Any) -> list[str]:
     return outputs
 
 
-def test_a_camera_that_moves_between_two_sheets_is_an_error_of_the_verification(
+def test_verification_detects_a_camera_moved_between_sheets(
     tmp_path: Path,
 ) -> None:
     path = settings_file(tmp_path, camera=QUIET)
@@ -161,7 +161,7 @@ def test_a_camera_that_moves_between_two_sheets_is_an_error_of_the_verification(
     assert verified(path, tmp_path / "r")["mean_error"] > 0.2
 
 
-def test_pictures_that_are_asked_for_later_have_a_sheet_of_their_own(tmp_path: Path) -> None:
+def test_verification_pictures_requested_later_have_a_separate_sheet(tmp_path: Path) -> None:
     path = settings_file(tmp_path, camera=QUIET, verification={"pictures": 0})
     acquired(tmp_path, path, lambda _: symmetric_matrix())
     assert not (tmp_path / "r" / "desk" / "symmetric" / "verification").exists()
@@ -176,7 +176,7 @@ def test_pictures_that_are_asked_for_later_have_a_sheet_of_their_own(tmp_path: P
 
 
 @pytest.mark.slow
-def test_the_workflow_goes_on_from_pictures_that_a_script_took(tmp_path: Path) -> None:
+def test_the_workflow_continues_from_imported_pictures(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
     settings = {**SETTINGS, "camera": QUIET, "methods": {"brute_force": {}}}
     workflow.config.write_text(yaml.safe_dump(settings))
@@ -250,13 +250,15 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
         (swapped, "doesn't begin with the marker"),
     ],
 )
-def test_pictures_are_refused_before_any_is_kept(level_0: Path, spoil: Any, message: str) -> None:
+def test_wrong_pictures_are_refused_before_any_is_imported(
+    level_0: Path, spoil: Any, message: str
+) -> None:
     spoil(level_0 / "pictures")
     assert re.search(message, command("import", level_0, fails=True))
     assert not list(level_0.parents[1].glob("r/desk/symmetric/L00/reference_brackets.zarr/c.*"))
 
 
-def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path) -> None:
+def test_exchanged_pictures_are_refused_and_a_sheet_can_be_withdrawn(level_0: Path) -> None:
     photographer.photograph(level_0, (np.eye(20) + 0.02)[None], photographer.counts)
     exchange = partial(swapped, level_0 / "pictures", (12, 14), (13, 15))
     level = level_0.parents[1] / "r" / "desk" / "symmetric" / "L00"
@@ -276,7 +278,7 @@ def test_exchanged_pictures_are_refused_and_a_sheet_is_taken_back(level_0: Path)
     assert len(list((level_0 / "pictures").iterdir())) == 34
 
 
-def test_a_later_sheet_with_pictures_stays(level_0: Path) -> None:
+def test_a_later_sheet_with_pictures_is_not_removed(level_0: Path) -> None:
     command("import", level_0)
     (_, level_1) = sheets(level_0.parent)
     picture = level_1 / "pictures" / "IMG_0.tif"
@@ -285,7 +287,7 @@ def test_a_later_sheet_with_pictures_stays(level_0: Path) -> None:
     assert picture.exists()
 
 
-def test_counts_beyond_the_camera_s_bits(level_0: Path) -> None:
+def test_counts_beyond_the_camera_s_bits_are_refused(level_0: Path) -> None:
     settings_file(level_0.parents[1], camera={**QUIET, "bits": 12})
     rewritten("IMG_8.tif", lambda pixels: pixels >> 4 << 4)(level_0 / "pictures")
     assert "camera.bits" in command("import", level_0, fails=True)
@@ -314,7 +316,7 @@ def test_a_copied_run_imports_into_its_own_results(level_0: Path, is_renamed: bo
 @pytest.mark.parametrize(
     ("moved_name", "message"), [("mine.yaml", "settings at"), ("r", "results at")]
 )
-def test_a_sheet_apart_from_its_run_is_refused(
+def test_a_sheet_separated_from_its_run_is_refused(
     level_0: Path, moved_name: str, message: str
 ) -> None:
     root = level_0.parents[1]
@@ -341,7 +343,7 @@ def test_a_sheet_with_absolute_paths_is_refused(level_0: Path) -> None:
     assert "brackets imported" in command("import", level_0)
 
 
-def test_rays_in_a_part_of_larger_pictures() -> None:
+def test_rays_may_cover_a_part_of_the_pictures() -> None:
     corners = [[[2, 1], [12, 1], [12, 9], [2, 9]]]
     offline = {"picture_shape": [11, 15], "camera_corners": corners}
     settings = parse_config({**SETTINGS, "offline": offline}, "it")

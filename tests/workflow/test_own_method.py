@@ -26,7 +26,7 @@ class TestColumnScan(MethodContract):
 
 
 @pytest.mark.slow
-def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> None:
+def test_it_runs_in_the_workflow_with_rfpipe_s_own(of_ones_own: Workflow) -> None:
     workflow = of_ones_own
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "Scan of columns" in page
@@ -41,7 +41,7 @@ def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> N
     assert np.linalg.norm(relit - expected) < 0.02 * np.linalg.norm(expected)
 
 
-def test_it_runs_in_process_by_its_path_its_class_or_itself() -> None:
+def test_it_runs_in_process_by_path_class_or_instance() -> None:
     rig = OperatorRig(np.eye(6), (2, 3), (2, 3))
     path = f"{EXAMPLE}:ColumnScan"
     method = get_method(path)

@@ -34,7 +34,7 @@ class TestFrostedGlass(SceneContract):
 
 
 @pytest.mark.slow
-def test_it_runs_in_the_workflow_beside_rfpipe_s_own(of_ones_own: Workflow) -> None:
+def test_it_runs_in_the_workflow_with_rfpipe_s_own(of_ones_own: Workflow) -> None:
     workflow = of_ones_own
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
     assert "frosted_glass.py:FrostedGlass" in page.replace("frosted glass.py", "frosted_glass.py")
@@ -93,7 +93,7 @@ def test_code_that_cannot_be_imported_is_named_with_its_line(
         assert remedy in str(caught.value)
 
 
-def test_a_scene_s_code_with_an_error_is_a_wrong_setting(tmp_path: Path) -> None:
+def test_an_error_in_a_scene_s_code_is_reported_as_a_mistake_of_settings(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("class Mine(:\n")
     with pytest.raises(ConfigError, match=r"scenes\.glass.*mine\.py, line 1: SyntaxError"):

@@ -58,7 +58,7 @@ def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StagewiseAcquis
     return acquisition
 
 
-def test_a_cluster_leaves_the_bytes_that_threads_leave(
+def test_a_cluster_writes_the_same_bytes_as_threads(
     captured: StagewiseAcquisition, address: str
 ) -> None:
     level = captured.folder.path / "L00"
@@ -76,7 +76,7 @@ def test_a_cluster_leaves_the_bytes_that_threads_leave(
     assert len(outputs[0]["merge.zarr"]) == 10 + 2  # one file per run of patterns
 
 
-def test_damage_that_a_worker_finds_is_said_as_anywhere(
+def test_damage_found_by_a_worker_is_reported_by_the_job(
     captured: StagewiseAcquisition, address: str
 ) -> None:
     captured.resources = Resources(where=address)
@@ -89,14 +89,16 @@ def test_damage_that_a_worker_finds_is_said_as_anywhere(
     captured.merge(0)
 
 
-def test_a_worker_that_dies_costs_its_piece(elsewhere: Resources, tmp_path: Path) -> None:
+def test_only_the_piece_of_a_killed_worker_is_repeated(
+    elsewhere: Resources, tmp_path: Path
+) -> None:
     with elsewhere.workers(1, tmp_path) as workers:
         parts = list(workers.results(Dying(identity, 3, tmp_path / "died"), PIECES))
     assert [part[1:] for part in parts] == PIECES
     assert os.getpid() not in {part[0] for part in parts}
 
 
-def test_workers_that_do_not_see_the_folder_are_refused(address: str) -> None:
+def test_workers_without_access_to_the_folder_are_refused(address: str) -> None:
     with pytest.raises(ClusterError, match=r"tcp://.* does not see /not/here.*Mount"):
         connected(address, Path("/not/here")).__enter__()
 
@@ -109,7 +111,7 @@ def test_workers_with_another_rfpipe_are_refused(
         connected(address, tmp_path).__enter__()
 
 
-def test_work_that_kills_its_worker(tmp_path: Path) -> None:
+def test_work_that_kills_its_worker_is_reported(tmp_path: Path) -> None:
     with (
         dask.config.set({"distributed.scheduler.allowed-failures": 0}),
         LocalCluster(1, threads_per_worker=1, dashboard_address=":0") as cluster,
@@ -186,7 +188,7 @@ def test_a_cluster_over_tls_with_the_certificates_of_dasks_settings(
         connected(address, tmp_path).__enter__()
 
 
-def test_plain_tcp_to_another_machine_is_warned_of(
+def test_plain_tcp_to_another_machine_gives_a_warning(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(cluster_module, "_PATIENCE_SECONDS", 0.1)
@@ -198,7 +200,7 @@ def test_plain_tcp_to_another_machine_is_warned_of(
 
 
 @pytest.mark.slow
-def test_a_run_with_a_cluster(copy: Workflow, undisturbed: Workflow, address: str) -> None:
+def test_a_run_uses_a_cluster(copy: Workflow, undisturbed: Workflow, address: str) -> None:
     undo(copy, 3, "merge")
     copy.configure(resources={"workers": address})
     copy.run(TINY)

@@ -24,7 +24,7 @@ CASES = {
 
 @pytest.mark.slow
 @pytest.mark.needs("llvm")
-def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
+def test_physical_scenes_run_in_the_workflow_up_to_the_report(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
     light = {"kind": "mitsuba", "samples": 64, "bounces": 3}
     workflow.configure(
@@ -48,7 +48,9 @@ def test_they_run_in_the_workflow_and_are_reported(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.needs("llvm")
-def test_the_large_scenes_in_few_pixels(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_large_scenes_run_at_low_resolution(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     settings = yaml.safe_load(large.SETTINGS.read_text())
     for scene in settings["scenes"].values():
         scene |= {"shape": [12, 17], "samples": 256}

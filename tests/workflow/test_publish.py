@@ -65,7 +65,9 @@ def printed(python: str, script: str, *arguments: object) -> object:
     return json.loads(done.stdout.splitlines()[-1])
 
 
-def test_it_is_a_workflow_run_crate(crate: Path, tmp_path: Path, validators: str) -> None:
+def test_the_publication_is_a_workflow_run_crate(
+    crate: Path, tmp_path: Path, validators: str
+) -> None:
     source = importlib.resources.files("rocrate").joinpath("data/ro-crate.jsonld")
     # included in ro-crate-py in a later version that moved or added these terms
     context = json.loads(source.read_text())
@@ -84,7 +86,7 @@ def test_datacite_is_valid(crate: Path, validators: str) -> None:
     assert printed(validators, script, crate / "datacite.json") == 1
 
 
-def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
+def test_the_graph_lists_every_file_with_its_provenance(crate: Path) -> None:
     graph = json.loads((crate / "ro-crate-metadata.json").read_text())["@graph"]
     entities = {entity["@id"]: entity for entity in graph}
     parts = {part["@id"] for part in entities["./"]["hasPart"]}
@@ -101,9 +103,7 @@ def test_the_graph_names_every_file_and_how_it_came_about(crate: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_with_code_of_one_s_own_runs_again_from_its_crate(
-    tmp_path: Path, kernels: None
-) -> None:
+def test_a_run_with_user_code_can_be_repeated_from_its_crate(tmp_path: Path, kernels: None) -> None:
     original, repeated, crate = Workflow(tmp_path / "first"), tmp_path / "again", tmp_path / "crate"
     for name in ("column_scan.py", "frosted_glass.py"):
         shutil.copy(ROOT / "tests/examples" / name, original.folder)
@@ -127,7 +127,9 @@ def test_a_run_with_code_of_one_s_own_runs_again_from_its_crate(
     assert contents(second.path(transport)) == contents(crate / "results" / transport)
 
 
-def test_pictures_and_transports_are_the_runs(crate: Path, undisturbed: Workflow) -> None:
+def test_published_pictures_and_transports_equal_those_of_the_run(
+    crate: Path, undisturbed: Workflow
+) -> None:
     floodlit, _ = read_floodlit(AcquisitionFolder(undisturbed.path("tiny/dual")))
     assert np.array_equal(read_image(crate / "pictures/tiny/dual/floodlit.exr"), floodlit)
     name = "results/long/brute_force/transport.zarr"

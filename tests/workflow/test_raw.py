@@ -54,7 +54,7 @@ def everything(folder: Path, but: tuple[str, ...] = ()) -> dict[str, bytes]:
     return {name: content for name, content in contents(folder).items() if not name.startswith(but)}
 
 
-def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
+def test_results_are_the_same_without_raw_exposures(
     acquisition: StagewiseAcquisition, tmp_path: Path
 ) -> None:
     complete = StagewiseAcquisition(tmp_path / "kept", matrix_rig(noise=CAMERA))
@@ -70,7 +70,7 @@ def test_what_is_made_of_the_raw_exposures_is_the_same_without_them(
         raw.read(0, 1)
 
 
-def test_every_stage_can_run_again_and_shows_no_pattern(acquisition: StagewiseAcquisition) -> None:
+def test_every_stage_can_run_again_without_new_pictures(acquisition: StagewiseAcquisition) -> None:
     before = everything(acquisition.folder.path)
     for level in (0, 1):
         for stage in ("schedule", "capture", "merge", "normalize", "refine"):
@@ -80,7 +80,7 @@ def test_every_stage_can_run_again_and_shows_no_pattern(acquisition: StagewiseAc
     assert everything(acquisition.folder.path) == before
 
 
-def test_merged_images_outlive_a_change_of_the_code(
+def test_merged_images_persist_after_a_change_of_the_code(
     acquisition: StagewiseAcquisition, caplog: pytest.LogCaptureFixture
 ) -> None:
     before = everything(acquisition.folder.path)
@@ -127,7 +127,7 @@ def test_damaged_merged_images_need_the_raw_exposures(
         acquisition.merge(level)
 
 
-def test_other_patterns_are_captured_anew(
+def test_changed_patterns_are_captured_again(
     acquisition: StagewiseAcquisition, caplog: pytest.LogCaptureFixture
 ) -> None:
     acquisition.rig = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, CAMERA, seed=5)
@@ -222,7 +222,7 @@ def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_run_without_raw_exposures(copy: Workflow, undisturbed: Workflow) -> None:
+def test_a_run_can_delete_its_raw_exposures(copy: Workflow, undisturbed: Workflow) -> None:
     folder = copy.path("tiny/symmetric")
     copy.configure(capture={"keep_raw": False})
     output = copy.run("results/tiny/symmetric/raw_dropped")  # only deletes exposures

@@ -92,7 +92,7 @@ def server(tmp_path: Path) -> Iterator[Server]:
     server.kill()
 
 
-def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
+def test_the_client_waits_for_a_server_killed_during_a_level(
     tmp_path: Path, server: Server, undisturbed: Workflow
 ) -> None:
     workflow = server.workflow(tmp_path / "run")
@@ -113,7 +113,7 @@ def test_a_server_killed_in_the_middle_of_a_level_is_waited_for(
 
 
 @pytest.mark.parametrize("jobs", ["stage", "acquisition"])
-def test_a_client_killed_in_the_middle_of_a_level_goes_on(
+def test_a_client_killed_during_a_level_continues(
     tmp_path: Path, server: Server, undisturbed: Workflow, jobs: str
 ) -> None:
     """The client is killed alone or together with its server."""
@@ -138,7 +138,9 @@ def test_a_client_killed_in_the_middle_of_a_level_goes_on(
     assert workflow.contents(BRUTE) == undisturbed.contents(BRUTE)
 
 
-def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, server: Server) -> None:
+def test_a_server_that_does_not_return_ends_the_run_with_advice(
+    tmp_path: Path, server: Server
+) -> None:
     workflow = server.workflow(tmp_path / "run", patience_seconds=1)
     server.kill()
     output = workflow.run(LONG, succeeds=False)
@@ -151,7 +153,7 @@ def test_a_server_that_stays_away_ends_the_run_with_advice(tmp_path: Path, serve
     assert "the settings of the scene say" in output
 
 
-def test_a_missed_target_fails_the_run_and_a_level_is_taken_again(
+def test_a_missed_target_fails_the_run_and_a_level_can_be_repeated(
     tmp_path: Path, server: Server
 ) -> None:
     server.kill()

@@ -33,7 +33,7 @@ def shown(workflow: Workflow) -> list[str]:
     ]
 
 
-def test_a_first_run_and_the_next_one(undisturbed: Workflow) -> None:
+def test_a_second_run_has_nothing_to_do(undisturbed: Workflow) -> None:
     ran = jobs((undisturbed.folder / "output").read_text())
     assert set(ran) == ALL
     assert "Nothing to be done" in undisturbed.run(DUAL)
@@ -55,7 +55,9 @@ def test_a_first_run_and_the_next_one(undisturbed: Workflow) -> None:
     ],
     ids=["title", "memory", "merge", "number format", "bit depth"],
 )
-def test_another_setting(copy: Workflow, changes: dict[str, Any], runs: dict[str, int]) -> None:
+def test_a_changed_setting_runs_its_stages_again(
+    copy: Workflow, changes: dict[str, Any], runs: dict[str, int]
+) -> None:
     before = shown(copy)
     copy.configure(**changes)
     ran = jobs(copy.run(DUAL))
@@ -69,7 +71,7 @@ def test_another_setting(copy: Workflow, changes: dict[str, Any], runs: dict[str
 
 
 @SLOW
-def test_another_tolerance_captures_what_other_patterns_ask(copy: Workflow) -> None:
+def test_another_tolerance_captures_the_levels_with_other_patterns(copy: Workflow) -> None:
     before = shown(copy)
     copy.configure(methods={**CONFIG["methods"], "dual": {"tolerance": 0.1}})
     ran = jobs(copy.run(DUAL))
@@ -94,7 +96,7 @@ def line(source: str) -> str:
     [pytest.param(comment, set(), marks=SLOW), (line, ALL - {"capture_simulated"})],
     ids=["comment", "line of refine"],
 )
-def test_edited_code(
+def test_edited_code_runs_its_stages_again(
     copy: Workflow, tmp_path: Path, edit: Callable[[str], str], runs: set[str]
 ) -> None:
     copy.source = tmp_path / "source"
@@ -108,7 +110,7 @@ def test_edited_code(
 
 
 @SLOW
-def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
+def test_a_stage_can_be_forced_and_a_run_can_end_at_a_stage(copy: Workflow) -> None:
     before = copy.contents("tiny/dual")
     forced = jobs(copy.run(DUAL, "--forcerun", "merge"))
     assert forced == {
@@ -123,7 +125,7 @@ def test_a_stage_is_forced_or_stopped_at(copy: Workflow) -> None:
 
 
 @SLOW
-def test_looking_changes_nothing(tmp_path: Path) -> None:
+def test_dry_runs_and_graphs_change_no_file(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path)
     before = sorted(tmp_path.rglob("*"))
     planned = workflow.run(DUAL, "--dry-run")
@@ -135,7 +137,7 @@ def test_looking_changes_nothing(tmp_path: Path) -> None:
 
 
 @SLOW
-def test_one_job_an_acquisition_goes_on_with_what_stages_left(
+def test_one_job_per_acquisition_continues_from_single_stages(
     copy: Workflow, undisturbed: Workflow
 ) -> None:
     copy.configure(resources={"jobs": "acquisition"})

@@ -36,7 +36,7 @@ def commands() -> str:
     return f"set -euo pipefail\nset -m\ntrap 'kill $(jobs -p) 2>/dev/null || true' EXIT\n{script}"
 
 
-def test_its_commands_lead_to_the_scene(tmp_path: Path) -> None:
+def test_the_commands_of_the_document_acquire_the_scene(tmp_path: Path) -> None:
     for name in NEEDED:
         source = ROOT / name
         copy = shutil.copytree if source.is_dir() else shutil.copy2

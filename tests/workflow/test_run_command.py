@@ -48,7 +48,7 @@ def settings(tmp_path: Path, **sections: Any) -> Workflow:
     return Workflow(tmp_path / "run", {"methods": {"dual": {}}, "capture": CAPTURE, **sections})
 
 
-def test_a_scene_that_fails_is_in_the_last_line_and_the_others_are_in_the_report(
+def test_the_last_line_names_failed_scenes_and_the_report_has_all_others(
     tmp_path: Path,
 ) -> None:
     matrix = np.eye(48)
@@ -75,7 +75,7 @@ def test_a_scene_that_fails_is_in_the_last_line_and_the_others_are_in_the_report
 
 
 @pytest.mark.parametrize("kind", ["stage", "acquisition"])
-def test_a_level_is_taken_again_and_nothing_else(tmp_path: Path, kind: str) -> None:
+def test_repeating_a_level_captures_only_this_level(tmp_path: Path, kind: str) -> None:
     workflow = settings(tmp_path, scenes={"wall": WALL}, resources={"jobs": kind})
     run(workflow)
     before = workflow.contents("wall/dual")
@@ -98,7 +98,7 @@ def test_a_level_is_taken_again_and_nothing_else(tmp_path: Path, kind: str) -> N
     assert "Nothing to be done" in run(workflow)
 
 
-def test_a_run_after_kill_9_goes_on_by_itself(tmp_path: Path) -> None:
+def test_a_run_continues_after_kill_9(tmp_path: Path) -> None:
     workflow = settings(tmp_path, scenes={"wall": WALL}, methods={"brute_force": {}})
     store = workflow.path("wall/brute_force/L00/capture.zarr")
     target = "results/wall/brute_force/transport.json"
@@ -115,7 +115,7 @@ def test_a_run_after_kill_9_goes_on_by_itself(tmp_path: Path) -> None:
     assert f"going on at pattern {captured}" in said
 
 
-def test_a_missed_target_is_in_the_last_line(tmp_path: Path) -> None:
+def test_the_last_line_names_missed_targets(tmp_path: Path) -> None:
     methods = {"near_far": {"target_error": 0.002, "patterns": 24}}
     workflow = settings(tmp_path, scenes={"wall": WALL}, methods=methods)
     last = run(workflow).splitlines()[-1]

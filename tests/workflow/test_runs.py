@@ -11,7 +11,7 @@ from rfpipe import open_transport
 from rfpipe.storage.files import AcquisitionFolder
 
 
-def test_every_stage_of_every_level_leaves_a_manifest(undisturbed: Workflow) -> None:
+def test_every_stage_of_every_level_has_a_manifest(undisturbed: Workflow) -> None:
     for method in ("symmetric", "dual"):
         folder = AcquisitionFolder(undisturbed.path(f"tiny/{method}"))
         levels = list(folder.levels())
@@ -28,7 +28,7 @@ def test_every_stage_of_every_level_leaves_a_manifest(undisturbed: Workflow) -> 
 
 
 @pytest.mark.slow
-def test_the_whole_run_ends_in_a_report_and_then_has_nothing_to_do(copy: Workflow) -> None:
+def test_a_run_ends_with_a_report_and_a_second_one_has_nothing_to_do(copy: Workflow) -> None:
     scenes = {**ONE_SCENE, "field": LIGHT_FIELD}
     copy.configure(scenes=scenes, methods={"symmetric": {}, "dual": {}})
     copy.run()  # continues from the existing acquisitions

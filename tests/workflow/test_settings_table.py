@@ -156,7 +156,7 @@ def test_every_setting_has_a_row_and_every_row_a_setting() -> None:
     assert set(NOT_RUN) <= set(SETTINGS)
 
 
-def test_every_row_says_what_runs_again() -> None:
+def test_every_row_names_the_stages_that_run_again() -> None:
     for name, runs in TABLE.items():
         begins = (*FIRST, "nothing", "as the settings", "captures of an offline rig")
         assert runs.startswith(begins), (name, runs)
@@ -205,7 +205,7 @@ def changed(path: str, value: Any) -> dict[str, Any]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("path", sorted(set(SETTINGS) - set(NOT_RUN)))
-def test_a_change_runs_again_what_the_table_says(
+def test_a_change_runs_the_stages_of_the_table_again(
     path: str, finished: Workflow, tmp_path: Path
 ) -> None:
     import yaml
@@ -230,12 +230,12 @@ def test_a_change_runs_again_what_the_table_says(
 
 
 @pytest.mark.slow
-def test_without_a_change_nothing_runs_and_nothing_is_listed(finished: Workflow) -> None:
+def test_without_a_change_no_rule_is_listed(finished: Workflow) -> None:
     assert planned(finished) == set()
     listed = finished.run("--list-changes", "params")
     assert "results/" not in listed
 
 
-def test_the_cameras_settings_are_walked() -> None:
+def test_the_table_covers_the_settings_of_the_camera() -> None:
     of_camera = {f"camera.{name}" for name in CameraConfig.model_fields}
     assert of_camera <= set(SETTINGS)

@@ -37,7 +37,7 @@ def on(profile: str, *arguments: str) -> tuple[str, ...]:
     return "--profile", str(PROFILES / profile), *QUICK[profile], *arguments
 
 
-def test_a_node_killed_in_the_middle_of_an_acquisition(
+def test_an_acquisition_continues_after_its_node_is_killed(
     slurm: Slurm, undisturbed: Workflow, tmp_path: Path
 ) -> None:
     workflow = Workflow(tmp_path / "run")
@@ -59,14 +59,16 @@ def test_a_node_killed_in_the_middle_of_an_acquisition(
     assert workflow.contents("long/brute_force") == undisturbed.contents("long/brute_force")
 
 
-def test_what_the_scheduler_refuses_is_said(slurm: Slurm, tmp_path: Path) -> None:
+def test_a_refusal_of_the_scheduler_is_reported(slurm: Slurm, tmp_path: Path) -> None:
     refused = ("--default-resources", "slurm_partition=nope", "--retries", "0")
     said = Workflow(tmp_path / "run").run(*on("slurm", *refused, TINY), succeeds=False)
     assert "Error in rule acquire" in said
     assert "invalid partition specified: nope" in said
 
 
-def test_what_a_job_of_ones_own_cluster_died_of_is_said(slurm: Slurm, tmp_path: Path) -> None:
+def test_the_cause_of_a_dead_job_on_a_generic_cluster_is_reported(
+    slurm: Slurm, tmp_path: Path
+) -> None:
     workflow = Workflow(tmp_path / "run")
     glass = (ROOT / "tests/examples/frosted_glass.py").read_text()
     ends = "import os\n\n        os.kill(os.getpid(), 9)\n        lit = weights"
@@ -82,7 +84,9 @@ def test_what_a_job_of_ones_own_cluster_died_of_is_said(slurm: Slurm, tmp_path: 
     assert "mem_mb" not in resources
 
 
-def test_scripts_of_ones_own_cluster(slurm: Slurm, undisturbed: Workflow, tmp_path: Path) -> None:
+def test_scripts_for_a_generic_cluster_give_the_same_bytes(
+    slurm: Slurm, undisturbed: Workflow, tmp_path: Path
+) -> None:
     workflow = Workflow(tmp_path / "run")
     workflow.run(*on("cluster-generic", TINY))
     assert workflow.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")

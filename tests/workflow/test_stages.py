@@ -39,7 +39,7 @@ from rfpipe.store import read_manifest
     ],
     ids=["nan", "size", "dtype"],
 )
-def test_frames_that_are_none_are_refused_and_what_is_captured_stays(
+def test_invalid_frames_are_refused_and_captured_ones_persist(
     tmp_path: Path, fault: Callable[[Any], Any], message: str
 ) -> None:
     broken = FaultyRig(matrix_rig(), lambda key, frame: fault(frame) if key == (1, 3) else frame)
@@ -108,7 +108,7 @@ def test_saturated_samples_are_counted(tmp_path: Path, caplog: pytest.LogCapture
     assert "3 of 20 samples are saturated in every exposure" in caplog.text
 
 
-def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
+def test_a_changed_rig_is_refused_or_captured_again_with_a_warning(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
     acquisition = StagewiseAcquisition(tmp_path, matrix_rig(noise=CAMERA))
@@ -132,7 +132,7 @@ def test_a_changed_rig_is_refused_or_captured_anew_after_saying_so(
     assert read_manifest(tmp_path / "L00/capture.json") == first
 
 
-def test_the_time_a_rig_takes_changes_no_frame(tmp_path: Path) -> None:
+def test_the_duration_of_pictures_changes_no_frame(tmp_path: Path) -> None:
     acquisition = StagewiseAcquisition(tmp_path, matrix_rig())
     acquisition.level(0)
     slow = OperatorRig(symmetric_matrix(), SHAPE, SHAPE, seconds_per_pattern=9.0)
@@ -141,7 +141,7 @@ def test_the_time_a_rig_takes_changes_no_frame(tmp_path: Path) -> None:
     assert acquisition.rig.shown == []
 
 
-def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> None:
+def test_a_memory_limit_reduces_the_patterns_per_batch(tmp_path: Path) -> None:
     batches = []
 
     class Counting(OperatorRig):
@@ -174,7 +174,7 @@ def test_a_capture_holds_few_patterns_where_memory_is_short(tmp_path: Path) -> N
         ("1 / 0", "ZeroDivisionError", True),
     ],
 )
-def test_a_job_says_why_it_ends_early(
+def test_a_job_reports_why_it_ends_early(
     tmp_path: Path, failure: str, said: str, shows_where: bool
 ) -> None:
     log = tmp_path / "planes_i" / "dual" / "L02" / "merge.log"
@@ -197,7 +197,7 @@ def test_a_job_says_why_it_ends_early(
         assert "Traceback" in log.read_text()
 
 
-def test_a_log_that_can_t_be_written_is_done_without() -> None:
+def test_a_stage_runs_without_a_writable_log() -> None:
     code = "from rfpipe.jobs.job import start, _log; start('/dev/full'); _log.warning('for it')"
     said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert "for it" in said.stderr
@@ -205,7 +205,7 @@ def test_a_log_that_can_t_be_written_is_done_without() -> None:
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])
-def test_files_hold_what_is_found_in_process_with_hot_pixels(tmp_path: Path, method: str) -> None:
+def test_files_equal_the_result_in_process_with_hot_pixels(tmp_path: Path, method: str) -> None:
     def heated(_: tuple[int, ...], frames: Any) -> Any:
         frames[:, 1, 2] = frames[:, 3, 4] = 3000
         return frames

@@ -65,7 +65,7 @@ def crooked() -> np.ndarray:
     return np.asarray(generator(3).random((RAYS, RAYS)) / RAYS)
 
 
-def test_brackets_may_be_dropped_when_they_are_judged(tmp_path: Path) -> None:
+def test_symmetry_brackets_may_be_deleted_after_the_test(tmp_path: Path) -> None:
     acquisition = begun(tmp_path, symmetric_matrix())
     facts = judge(acquisition)
     acquisition.settings = replace(SETTINGS, keep_raw=False)
@@ -96,7 +96,7 @@ class Choice(MethodDescription):
 
 
 @pytest.mark.parametrize("coaxial", [True, False])
-def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> None:
+def test_auto_continues_with_the_method_for_the_measured_rig(tmp_path: Path, coaxial: bool) -> None:
     matrix = symmetric_matrix() if coaxial else crooked()
     name = f"{__file__}:Choice"
     folder = AcquisitionFolder(tmp_path / "acquired")
@@ -118,7 +118,7 @@ def test_a_choice_goes_on_by_what_the_rig_is(tmp_path: Path, coaxial: bool) -> N
     assert type(result.transport) is type(stored)
 
 
-def test_a_choice_asks_for_its_target_where_that_is_tighter() -> None:
+def test_auto_uses_the_target_error_if_it_is_below_the_accepted_asymmetry() -> None:
     asymmetry = Asymmetry(0.03, 0.001)
     for target, coaxial in ((None, True), (0.05, True), (0.01, False)):
         options = SimpleNamespace(target_error=target)

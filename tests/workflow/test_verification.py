@@ -79,7 +79,7 @@ def intact(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     return verified(acquire(folder, rig, interval=0), rig)
 
 
-def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
+def test_an_interrupted_verification_ends_with_the_same_numbers(
     tmp_path: Path, intact: dict[str, Any]
 ) -> None:
     rig = Stopping()
@@ -100,7 +100,7 @@ def test_a_verification_that_was_stopped_ends_with_the_same_numbers(
     assert len(rig.shown) == shown  # the pictures persist
 
 
-def test_what_is_damaged_of_a_verification_is_found(tmp_path: Path) -> None:
+def test_damage_of_a_verification_is_found(tmp_path: Path) -> None:
     rig = Stopping()
     folder = acquire(tmp_path / "results/matrix/dual", rig, interval=0)
     verified(folder, rig)
@@ -138,7 +138,9 @@ def test_a_knock_ends_the_capture_within_ten_patterns(
     assert "the rig or the scene moved" in caplog.text
 
 
-def test_what_passes_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+def test_a_passing_disturbance_does_not_end_the_capture(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
     numbers = count()  # the first that is compared is the third
 
     def passing(key: tuple[int, ...], frames: np.ndarray) -> np.ndarray:
@@ -150,7 +152,7 @@ def test_what_passes_ends_nothing(tmp_path: Path, caplog: pytest.LogCaptureFixtu
     assert "a repeated picture doesn" in caplog.text
 
 
-def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
+def test_a_steady_rig_gives_no_alarm(tmp_path: Path) -> None:
     rig = Stopping()
     facts = verified(acquire(tmp_path, rig, mode="refuse"), rig)
     assert facts["moved"] < 0.02
@@ -162,7 +164,7 @@ def test_a_rig_that_stands_still_is_left_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_the_workflow_has_a_step_for_it(tmp_path: Path) -> None:
+def test_the_workflow_has_a_step_for_verification(tmp_path: Path) -> None:
     run = Workflow(tmp_path)
     scene = {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [8, 8]}
     verification = {"pictures": 5, "fail_above": 1e-5}

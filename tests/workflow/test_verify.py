@@ -100,7 +100,7 @@ DAMAGES: dict[str, Callable[[Path], object]] = {
 }
 
 
-def test_an_intact_run_is_found_whole(intact: Path) -> None:
+def test_an_intact_run_has_no_findings(intact: Path) -> None:
     checked = check(intact)
     assert checked.findings == []
     assert checked.notes == []
@@ -109,7 +109,7 @@ def test_an_intact_run_is_found_whole(intact: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", DAMAGES)
-def test_damage_is_found_and_mended_to_the_same_bytes(
+def test_damage_is_found_and_repaired_to_the_same_bytes(
     intact: Path, results: Path, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     run = results / "matrix" / "symmetric"
@@ -169,7 +169,7 @@ def test_what_is_read_follows_from_manifests_whatever_a_folder_is_called(
             assert f"run --directory {above.resolve()} " in command_for(finding)
 
 
-def test_files_that_no_manifest_names_are_said(results: Path) -> None:
+def test_files_without_a_manifest_are_reported(results: Path) -> None:
     run = results / "matrix/symmetric"
     (run / "L00/notes.txt").write_text("mine")
     (run / "capture.log").write_text("a log")
@@ -183,7 +183,7 @@ def test_files_that_no_manifest_names_are_said(results: Path) -> None:
     assert checked.unnamed == [run / "L00/notes.txt", run / "transport.zarr/forgotten"]
 
 
-def test_a_transport_that_is_missing_is_found_by_what_is_made_of_it(results: Path) -> None:
+def test_a_missing_transport_is_found_by_the_results_computed_from_it(results: Path) -> None:
     run = results / "matrix/symmetric"
     made = {"stage": "relight", "transport": read_manifest(run / "transport.json")["digest"]}
     write_manifest(run / "relight.json", made)
@@ -258,7 +258,7 @@ def test_a_finding_has_one_remedy(results: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", [kind for kind in DAMAGES if "transport" not in kind])
-def test_a_run_heals_what_it_finds_damaged_and_shows_no_pattern(
+def test_a_run_repairs_damaged_stages_without_new_pictures(
     intact: Path, results: Path, kind: str, caplog: pytest.LogCaptureFixture
 ) -> None:
     run = results / "matrix" / "symmetric"
@@ -293,7 +293,7 @@ def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:
     assert command.endswith(str(folder.path))
 
 
-def test_a_running_acquisition_is_left_alone(results: Path) -> None:
+def test_a_running_acquisition_is_not_checked(results: Path) -> None:
     from rfpipe.store import StoreLock
 
     with StoreLock(results / "matrix" / "symmetric"):
@@ -302,7 +302,9 @@ def test_a_running_acquisition_is_left_alone(results: Path) -> None:
     assert checked.stores == 27
 
 
-def test_dropped_exposures_are_no_damage_and_what_is_made_of_them_is_dear(results: Path) -> None:
+def test_deleted_exposures_are_no_damage_but_make_merged_images_irreplaceable(
+    results: Path,
+) -> None:
     from rfpipe.store import drop
 
     run = results / "matrix" / "symmetric"
@@ -351,7 +353,7 @@ def test_a_published_folder_is_checked_by_its_list(intact: Path, tmp_path: Path)
     assert checked.notes == [f"{crate / 'more.txt'}: isn't in the list of files"]
 
 
-def test_a_store_without_a_run_can_be_checked_too(intact: Path, tmp_path: Path) -> None:
+def test_a_store_outside_a_run_can_be_checked(intact: Path, tmp_path: Path) -> None:
     store = tmp_path / "mine.zarr"
     shutil.copytree(intact / "matrix/dual/transport.zarr", store)
     assert check(store).findings == []
@@ -361,7 +363,7 @@ def test_a_store_without_a_run_can_be_checked_too(intact: Path, tmp_path: Path) 
 
 
 @pytest.mark.slow
-def test_a_run_damaged_in_many_ways_at_once_is_mended_by_the_commands_named(
+def test_a_run_with_several_kinds_of_damage_is_repaired_by_the_given_commands(
     copy: Workflow, undisturbed: Workflow
 ) -> None:
     run = copy.path("tiny/symmetric")
