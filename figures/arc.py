@@ -64,15 +64,6 @@ def items(size: Size) -> Items:
             dual_truth(middle, pattern),
         ),
     }
-    bright = exposure(true[0], pairs["area light"][1])
-    whites = {
-        name: exposure(pair[1]) if "matte" in name else bright for name, pair in pairs.items()
-    }
-    rows = [
-        [Panel(ours, name, "relit", whites[name]) for name, (ours, _) in pairs.items()],
-        [Panel(truth, name, "ground truth", whites[name]) for name, (_, truth) in pairs.items()],
-        [difference(*pair, whites[name]) for name, pair in pairs.items()],
-    ]
     area, striped = (error(*pairs[name]) for name in ("area light", "high-resolution matte"))
     patterns = sum(result.patterns for result in results)
     caption = (
@@ -85,7 +76,8 @@ def items(size: Size) -> Items:
         "of 80 camera positions each becomes a light: from the left, from the right, all together "
         "an area light with soft shadows, and a high-resolution matte."
     )
-    yield Picture("fig_3_9", "Fig. 3.9", thesis, caption, draw(rows))
+    figure = draw(_rows(pairs, exposure(true[0], pairs["area light"][1])))
+    yield Picture("fig_3_9", "Fig. 3.9", thesis, caption, figure)
     row = cost("3.1", "Fig. 3.9, 80 positions", scene, results[-1], area, positions=len(chosen))
     yield replace(
         row,
@@ -93,3 +85,15 @@ def items(size: Size) -> Items:
         megabytes=sum(result.transport.nbytes for result in results) / 1e6,
         processing_s=sum(result.processing_seconds for result in results),
     )
+
+
+def _rows(pairs: dict[str, tuple[Any, Any]], bright: float) -> list[list[Any]]:
+    """Return rows of relit pictures, truths and differences; mattes have their own white."""
+    whites = {
+        name: exposure(pair[1]) if "matte" in name else bright for name, pair in pairs.items()
+    }
+    return [
+        [Panel(ours, name, "relit", whites[name]) for name, (ours, _) in pairs.items()],
+        [Panel(truth, name, "ground truth", whites[name]) for name, (_, truth) in pairs.items()],
+        [difference(*pair, whites[name]) for name, pair in pairs.items()],
+    ]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from figures.common import (
     Items,
     Picture,
@@ -66,14 +68,20 @@ def items(size: Size) -> Items:
         "camera's noise; stored hierarchically it is kept."
     )
     yield Picture("fig_3_3", "Fig. 3.3", thesis, caption, draw([top, errors]))
-    levels = []
+    yield _levels(parts, result, Panel(ours, "their sum", f"patterns {result.patterns}", bright))
+    yield cost("3.1", "Fig. 3.4, box", scene, result, error(ours, truth))
+
+
+def _levels(parts: list[Any], result: Any, whole: Panel) -> Picture:
+    """Draw the contribution of each level to the dual picture."""
+    bright, levels = whole.white, []
     for level, (part, patterns) in enumerate(zip(parts, result.levels["patterns"], strict=False)):
         part_white = min(bright, exposure(part)) if part.max() > 0 else bright
         caption = f"white at {part_white:.2g}" if part.max() > 0 else "nothing is stored here"
         levels.append(
             Panel(part, f"level {level + 1}", f"patterns {patterns}\n{caption}", part_white)
         )
-    levels.append(Panel(ours, "their sum", f"patterns {result.patterns}", bright))
+    levels.append(whole)
     rows = [levels[first : first + _ABREAST] for first in range(0, len(levels), _ABREAST)]
     caption = (
         "Contribution of each level to the dual picture, coarse to fine, brightened: the radiance "
@@ -83,5 +91,4 @@ def items(size: Size) -> Items:
         "the dual image is the sum of the images of all levels, coarse ones with the diffuse "
         "inter-reflection that finer ones would lose."
     )
-    yield Picture("fig_3_4", "Fig. 3.4", thesis, caption, draw(rows))
-    yield cost("3.1", "Fig. 3.4, box", scene, result, error(ours, truth))
+    return Picture("fig_3_4", "Fig. 3.4", thesis, caption, draw(rows))

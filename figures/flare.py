@@ -89,23 +89,17 @@ def items(size: Size) -> Items:
     ):
         result, _ = acquired(before, "symmetric", tolerance=tolerance)
         relit, truth = result.transport.relight(pattern), seen(before, pattern)
-        row = {
-            "case": case,
-            "tolerance": tolerance,
-            "patterns": result.patterns,
-            "error": error(relit, truth),
-            "at_highlights": error(relit, truth, around),
-        }
-        rows.append(row)
-        below = f"{result.patterns} patterns, error {percent(row['error'])}"
+        off, at_highlights = error(relit, truth), error(relit, truth, around)
+        rows.append((case, tolerance, result.patterns, off, at_highlights))
+        below = f"{result.patterns} patterns, error {percent(off)}"
         panels.append(
             [
-                Panel(truth, "what the camera sees", "", bright),
+                Panel(truth, "the camera's view", "", bright),
                 Panel(relit, f"relit: {case}", below, bright),
                 difference(relit, truth, bright),
             ]
         )
-    summary = ", ".join(f"{row['case']} {percent(row['at_highlights'])}" for row in rows)
+    summary = ", ".join(f"{case} {percent(at_highlights)}" for case, *_, at_highlights in rows)
     caption = (
         f"Errors at the highlights: {summary}. The camera's aperture spreads 3 % of each pixel's "
         "light over a star of six arms; the projector has no flare, so that the matrix isn't "
@@ -116,5 +110,6 @@ def items(size: Size) -> Items:
         "highlights, a loose one makes that less noticeable."
     )
     yield Picture("fig_5_11", "Fig. 5.11", thesis, caption, draw(panels))
-    caption = "Relative RMS error of the half-lit picture against what the camera sees."
-    yield Table("flare", "Tight against loose", caption, pd.DataFrame(rows))
+    caption = "Relative RMS error of the half-lit picture against the camera's view."
+    columns = ["case", "tolerance", "patterns", "error", "at_highlights"]
+    yield Table("flare", "Tight against loose", caption, pd.DataFrame(rows, columns=columns))

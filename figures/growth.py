@@ -58,30 +58,18 @@ class _Coarse:
 
 def items(size: Size) -> Items:
     """Acquire box and bottle at five resolutions of the projector, scene IV at the given ones."""
-    rows, levels = [], []
-    for name, scene in (
-        ("box", aside(size, "two_blocks", shape=size.even)),
-        ("bottle", physical(size, "bottle", shape=size.even)),
-    ):
-        for halvings in reversed(range(min(_SIZES, int(np.log2(scene.projector_shape[0]))))):
-            coarse = _Coarse(scene, 2**halvings)
-            result, _ = acquired(coarse, "dual")
-            light = white(coarse.projector_shape)
-            tree = BlockTree(RayDomain(coarse.projector_shape))
-            level_rows = pd.DataFrame(result.levels)[["level", "patterns"]]
-            level_rows = level_rows.assign(scene=name, side=coarse.projector_shape[0])
-            level_rows["blocks"] = [tree.n_blocks(int(level)) for level in level_rows["level"]]
-            levels.append(level_rows)
-            rows.append(
-                {
-                    "scene": name,
-                    "side": coarse.projector_shape[0],
-                    "rays": light.size,
-                    "levels": tree.n_levels,
-                    "patterns": result.patterns,
-                    "error": error(result.transport.relight(light), seen(coarse, light)),
-                }
-            )
+    scenes = {
+        "box": aside(size, "two_blocks", shape=size.even),
+        "bottle": physical(size, "bottle", shape=size.even),
+    }
+    rows, levels = zip(
+        *(
+            _acquired_at(name, _Coarse(scene, 2**halvings))
+            for name, scene in scenes.items()
+            for halvings in reversed(range(min(_SIZES, int(np.log2(scene.projector_shape[0])))))
+        ),
+        strict=True,
+    )
     numbers = pd.DataFrame(rows)
     fits = pd.DataFrame(
         [
@@ -113,6 +101,25 @@ def items(size: Size) -> Items:
     caption = "Scene IV in grey, exact radiance, its texture as fine as the pixels at each size."
     yield Picture("fig_3_8", "Fig. 3.8, scene IV", thesis, caption, _curves(flat, "method"))
     yield Table("resolution", "Patterns of scene IV", "Error: of a bar of light.", flat)
+
+
+def _acquired_at(name: str, coarse: _Coarse) -> tuple[dict[str, Any], pd.DataFrame]:
+    """Acquire a scene at one resolution of the projector; return its row, and one a level."""
+    result, _ = acquired(coarse, "dual")
+    light = white(coarse.projector_shape)
+    tree = BlockTree(RayDomain(coarse.projector_shape))
+    levels = pd.DataFrame(result.levels)[["level", "patterns"]]
+    levels = levels.assign(scene=name, side=coarse.projector_shape[0])
+    levels["blocks"] = [tree.n_blocks(int(level)) for level in levels["level"]]
+    row = {
+        "scene": name,
+        "side": coarse.projector_shape[0],
+        "rays": light.size,
+        "levels": tree.n_levels,
+        "patterns": result.patterns,
+        "error": error(result.transport.relight(light), seen(coarse, light)),
+    }
+    return row, levels
 
 
 def _scene_iv(side: int) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -47,36 +48,15 @@ def items(_size: Size) -> Items:
     patterns = np.concatenate([np.ones((1, rays)), np.eye(rays)]).astype(np.float32)
     truth = scene.apply(patterns).reshape(-1, *_SHAPE, 3)
     camera = CameraModel()
-    rows, panels = [], []
+    rows: list[dict[str, Any]] = []
+    panels = []
     for chain, sensor in (
         ("whole bracket, linear", camera),
         ("short exposure, median", replace(camera, exposures=camera.exposures[:1])),
     ):
-        merged = _through_mosaic(truth, sensor)
-        images, variance = demosaic(merged.radiance, merged.variance, _BAYER)
-        if "median" in chain:
-            images = _smooth_colours(images)
-            images = np.where(images > _SIGNIFICANCE * np.sqrt(variance), images, 0)
-        floodlit, single, spread = images[0], images[1:], variance[1:]
-        bright = float(floodlit.max())
-        row = [Panel(floodlit, "floodlit", chain, bright)]
-        for mode, title in _MODES.items():
-            gain = level_gain(
-                floodlit, single.sum(0), spread.sum(0), mode, complete=True,
-                significance=_SIGNIFICANCE, floodlit_variance=variance[0],
-            )  # fmt: skip
-            scaled, _ = apply(single, spread, gain)
-            total = scaled.sum(axis=0)
-            energy = float(total.sum() / floodlit.sum())
-            contrast = _contrast(total) / _contrast(floodlit)
-            below = f"light {energy:.0%}, colour contrast {contrast:.0%}"
-            row.append(Panel(total, title, below, bright))
-            rows.append(
-                {"chain": chain, "normalization": mode, "energy": energy,
-                 "colour_contrast": contrast, "rms": error(total, floodlit),
-                 "image_error": error(scaled, truth[1:])}
-            )  # fmt: skip
-        panels.append(row)
+        chain_panels, chain_rows = _normalized(chain, truth, sensor)
+        panels.append(chain_panels)
+        rows += chain_rows
     bare = [row for row in rows if row["normalization"] == "none"]
     summary = "; ".join(
         f"{row['chain']}: {percent(row['energy'])} of the light and "
@@ -92,6 +72,37 @@ def items(_size: Size) -> Items:
     yield Picture("fig_b_1", "Fig. B.1", thesis, caption, draw(panels, 2.4))
     caption = "Of the sum against the floodlit image; image_error: of the images against the truth."
     yield Table("mosaic", "Colour normalization", caption, pd.DataFrame(rows))
+
+
+def _normalized(
+    chain: str, truth: Float, sensor: CameraModel
+) -> tuple[list[Panel], list[dict[str, Any]]]:
+    """Capture the images of single pixels and sum them up under each normalization."""
+    merged = _through_mosaic(truth, sensor)
+    images, variance = demosaic(merged.radiance, merged.variance, _BAYER)
+    if "median" in chain:
+        images = _smooth_colours(images)
+        images = np.where(images > _SIGNIFICANCE * np.sqrt(variance), images, 0)
+    floodlit, single, spread = images[0], images[1:], variance[1:]
+    bright = float(floodlit.max())
+    panels, rows = [Panel(floodlit, "floodlit", chain, bright)], []
+    for mode, title in _MODES.items():
+        gain = level_gain(
+            floodlit, single.sum(0), spread.sum(0), mode, complete=True,
+            significance=_SIGNIFICANCE, floodlit_variance=variance[0],
+        )  # fmt: skip
+        scaled, _ = apply(single, spread, gain)
+        total = scaled.sum(axis=0)
+        energy = float(total.sum() / floodlit.sum())
+        contrast = _contrast(total) / _contrast(floodlit)
+        below = f"light {energy:.0%}, colour contrast {contrast:.0%}"
+        panels.append(Panel(total, title, below, bright))
+        rows.append(
+            {"chain": chain, "normalization": mode, "energy": energy,
+             "colour_contrast": contrast, "rms": error(total, floodlit),
+             "image_error": error(scaled, truth[1:])}
+        )  # fmt: skip
+    return panels, rows
 
 
 def _through_mosaic(truth: Float, camera: CameraModel) -> Merged:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from figures.common import (
@@ -60,6 +62,12 @@ def items(size: Size) -> Items:
         "the real projectors do."
     )
     yield Picture("fig_5_6", "Fig. 5.6", thesis, caption, draw(rows))
+    yield _levels(scene, result, front)
+    yield cost("5.1", "Fig. 5.6, gummy bears", scene, result, errors[1])
+
+
+def _levels(scene: Any, result: Any, front: Float) -> Picture:
+    """Draw the letters' picture as if the acquisition had stopped at each level."""
     truth = seen(scene, front)[0]
     bright = _BRIGHTER * exposure(truth)
     shown, levels, by_level = 0, [], []
@@ -75,8 +83,7 @@ def items(size: Size) -> Items:
     )
     caption = f"The letters' picture as if stopped at each level; errors {', '.join(by_level)}."
     figure = draw(with_errors(levels, Panel(truth, "ground truth", "", bright)))
-    yield Picture("fig_5_7", "Fig. 5.7", thesis, caption, figure)
-    yield cost("5.1", "Fig. 5.6, gummy bears", scene, result, errors[1])
+    return Picture("fig_5_7", "Fig. 5.7", thesis, caption, figure)
 
 
 def letters(side: int) -> Float:
