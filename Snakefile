@@ -1,17 +1,17 @@
 """rfpipe: from patterns to a relightable light transport and its report.
 
-Each scene of the configuration is acquired with each method, level by level. The levels above
-decide on the patterns of a level (schedule), the rig shows them (capture), brackets become radiance
-(merge) that adds up to the floodlit image (normalize), and the method learns from it (refine). How
-many levels have patterns to show turns out on the way. The transport is assembled from all levels,
-verified by pictures that no method saw (verification), relit, compared with the truth, put on a
-page on which one paints with light (view), and reported.
+Each scene of the configuration is acquired with each method, level by level. The method's state
+determines the patterns of a level (schedule), the rig displays them and takes their pictures
+(capture), brackets become radiance images (merge), which are scaled to add up to the floodlit image
+(normalize), and the method's state is refined by them (refine). The schedule of a level has no
+patterns if the acquisition is complete. The transport is assembled from all levels, verified by
+pictures that the method didn't use (verification), relit, compared with the true transport of a
+simulated scene, put on a page on which the user paints with light (view), and reported.
 
-Each stage leaves a store and, written last, a small manifest beside it, in
-results/{scene}/{method}/L{level}: rules depend on manifests alone. A store knows what it was
-made from, and a capture that was stopped goes on at its journal. Where the setting
-resources.jobs is acquisition, a single job takes an acquisition through the same stages, to the
-same bytes.
+Each stage writes a store and, last, a small manifest beside it, in
+results/{scene}/{method}/L{level}: rules depend on manifests alone. A store records the fingerprint
+of its inputs, and a capture that was stopped continues at its journal. If the setting
+resources.jobs is acquisition, a single job runs all stages of an acquisition, to the same bytes.
 """
 
 import os

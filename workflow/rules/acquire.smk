@@ -1,8 +1,8 @@
 rule acquire:
-    """A scene's transport, all levels and stages of it in one job.
+    """The transport of a scene, with all levels and stages in one job.
 
-    For collections and clusters. One acquisition at a time has a real rig; what it does between
-    two levels' captures takes a twentieth of their time (docs/performance.md).
+    For collections and clusters. A real rig serves one acquisition at a time; the other stages take
+    a twentieth of the time of its captures (docs/performance.md).
     """
     output:
         "results/{scene}/{method}/transport.json",

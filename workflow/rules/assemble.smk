@@ -1,5 +1,5 @@
 rule assemble:
-    """A scene's transport, from what all levels added."""
+    """The transport of a scene, computed from all levels."""
     input:
         refined,
     output:

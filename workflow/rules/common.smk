@@ -1,6 +1,6 @@
-# What the rules share: the checked settings, and functions that give each rule its part of them.
+# The validated settings, and functions that select those of each rule.
 
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 
 import rfpipe
@@ -20,13 +20,13 @@ from rfpipe.stages.settings import (
 )
 
 for configfile in workflow.configfiles:
-    read_yaml(configfile)  # refuses YAML that Snakemake would take for something else
+    read_yaml(configfile)  # refuses YAML that Snakemake would misread
 if len(workflow.configfiles) == 1:
-    load_config(workflow.configfiles[0])  # refuses keys that stand twice, too
+    load_config(workflow.configfiles[0])  # refuses repeated keys, too
 SETTINGS = parse_config(
     config, "the configuration", [Path(file).parent for file in workflow.configfiles]
 )
-# All settings but those that shape no result.
+# All settings that shape a result.
 SHAPING = SETTINGS.result_settings()
 
 check_no_braces("the run's folder", Path.cwd())
@@ -52,18 +52,20 @@ wildcard_constraints:
     level=r"\d+",
 
 
-of_scene = cache(SETTINGS.of_scene)  # the settings that hold for a scene
+of_scene = cache(
+    SETTINGS.of_scene
+)  # settings of the run, overridden by those of the scene
 
 
 def memory_mb(wildcards, attempt):
-    """Memory that a job asks for, twice as much after each failure."""
+    """Memory of a job in MB, doubled after each failure."""
     settings = of_scene(wildcards.scene) if "scene" in wildcards.keys() else SETTINGS
     asked = int(settings.resources.memory_gib * 2**30 / 10**6)
     return min(asked, MACHINE_MB) * 2 ** (attempt - 1)
 
 
 def minutes(at_most):
-    """Minutes that a job asks a scheduler for, twice as many after each failure."""
+    """Minutes that a job requests from a scheduler, doubled after each failure."""
     return lambda wildcards, attempt: at_most * 2 ** (attempt - 1)
 
 
@@ -101,21 +103,24 @@ AT_THE_RIG = AT_THE_RIG if HAS_RIG else {}
 
 
 def all_cores(wildcards):
-    """This machine's cores that a job may have; on a cluster one, unless the profile sets more."""
-    on_cluster = workflow.non_local_exec or workflow.remote_exec  # told after the rules
+    """Cores of this machine that a job may use; on a cluster 1, unless the profile sets more."""
+    on_cluster = (
+        workflow.non_local_exec or workflow.remote_exec
+    )  # known after the rules are read
     return 1 if on_cluster else workflow.cores or 1
 
 
 def threads(wildcards):
-    """A job's share of the cores: as many acquisitions as there are run side by side."""
+    """Cores of a job: their number over that of the acquisitions, which run side by side."""
     return max(1, all_cores(wildcards) // len(SETTINGS.acquisitions))
 
 
+cached_settings = cache(partial(stage_settings, SETTINGS))
+
+
 def settings_of(*stages):
-    """The settings that shape the results of stages; those of all stages by default."""
-    return lambda wildcards: stage_settings(
-        SETTINGS, wildcards.scene, wildcards.method, *stages
-    )
+    """The settings that shape the results of stages, by default of all stages."""
+    return lambda wildcards: cached_settings(wildcards.scene, wildcards.method, *stages)
 
 
 def plan(wildcards):
@@ -124,7 +129,7 @@ def plan(wildcards):
 
 
 def rig(wildcards):
-    """What a scene's pictures are taken by."""
+    """Kind and settings of the rig that takes a scene's pictures."""
     return rig_source_settings(SETTINGS, wildcards.scene)
 
 

@@ -1,7 +1,7 @@
 rule drop_raw:
-    """Free the disk of raw exposures that are merged, where capture.keep_raw became false.
+    """Remove raw exposures that are merged, if capture.keep_raw became false.
 
-    Captures of a run that has had this setting from its beginning are freed by their merges.
+    If it was false from the start of the run, merges remove them.
     """
     input:
         "results/{scene}/{method}/transport.json",

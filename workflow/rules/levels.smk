@@ -24,7 +24,9 @@ def refined_before(wildcards):
     Level 0 follows the log of a job that ran all stages, since Snakemake has no records of their
     settings.
     """
-    folder, level = f"results/{wildcards.scene}/{wildcards.method}", int(wildcards.level)
+    folder, level = f"results/{wildcards.scene}/{wildcards.method}", int(
+        wildcards.level
+    )
     if level > 0:
         return [f"{folder}/L{level - 1:02d}/refine.json"]
     log = Path(folder, STAGES_LOG)

@@ -1,5 +1,6 @@
 from rfpipe.errors import RfpipeError
 
+
 def every_item(wildcards):
     """What the catalogue tells of each scene and method beside its transport."""
     relit = [

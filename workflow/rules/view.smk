@@ -2,6 +2,7 @@ import rfpipe
 from rfpipe.provenance import fingerprint
 from rfpipe.store.files import digest_of
 
+
 def every_view(wildcards):
     """The page of each scene and method on which one paints with light."""
     return [
