@@ -148,12 +148,12 @@ class Pictures:
 
     @property
     def known(self) -> NDArray[np.bool_]:
-        """Whether each pixel is known, bool (M,)."""
+        """Mask of the known pixels, bool (M,)."""
         return np.asarray(np.isfinite(self.variance[0]).all(axis=0))
 
     @property
     def measured(self) -> NDArray[np.bool_]:
-        """Whether each pixel is known, and saturated in no picture, bool (M,)."""
+        """Mask of the known pixels that are saturated in no picture, bool (M,)."""
         saturated = are_saturated(self.radiance, self.variance).any(axis=(0, 1))
         return self.known & ~saturated
 

@@ -68,8 +68,9 @@ class AcquisitionResult:
     verification: Verification | None = None
 
     def __repr__(self) -> str:
-        about = f"{self.patterns} patterns, {self.seconds:.3g} s, {self.transport}"
-        return f"AcquisitionResult({about})"
+        return (
+            f"AcquisitionResult({self.patterns} patterns, {self.seconds:.3g} s, {self.transport})"
+        )
 
     @property
     def levels(self) -> pd.DataFrame:
@@ -191,6 +192,13 @@ def acquire(
             raise
         _log.warning("stopped: the transport of the levels so far is returned")
         verification = 0
+    return _result(acquisition, storage, began, verification)
+
+
+def _result(
+    acquisition: Acquisition, storage: AcquisitionInMemory, began: float, verification: int
+) -> AcquisitionResult:
+    """Assemble the transport and, with a number of pictures, verify it."""
     levels = len(acquisition.state.rows)
     transport, masked = assembled(acquisition, levels)
     verified = _verified(acquisition, transport, verification) if verification else None

@@ -45,27 +45,28 @@ def run(acquisition: Acquisition) -> None:
     }  # fmt: skip
     store = manifest.with_suffix(".zarr")
     digest = save_transport(transport, store, settings.number_format, resumes=True, **origin)
-    write_manifest(
-        manifest,
-        {
-            **origin,
-            "stage": "assemble",
-            "made_of": inputs,
-            # the method that the settings' method chose, or itself
-            "acquired_by": plan.method.name,
-            "digest": digest,
-            "camera_shape": list(plan.camera.shape),
-            "projector_shape": list(plan.projector.shape),
-            "channels": plan.channels,
-            "units": RADIANCE_UNIT,
-            "levels": transport.level_rows,
-            "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
-            "options": plan.options.options(),
-            "masked": int(np.count_nonzero(masked)),
-            **({"sources": dict(settings.sources)} if settings.sources else {}),
-            "versions": versions(),
-        },
-    )
+    masked_count = int(np.count_nonzero(masked))
+    facts = _facts(acquisition, transport)
+    made = {"made_of": inputs, "digest": digest, "masked": masked_count, "versions": versions()}
+    write_manifest(manifest, {**origin, **facts, **made})
+
+
+def _facts(acquisition: Acquisition, transport: Transport) -> dict[str, Any]:
+    """Describe an acquisition and its transport for the manifest."""
+    plan, settings = acquisition.plan, acquisition.settings
+    return {
+        "stage": "assemble",
+        # the method that the settings' method chose, or itself
+        "acquired_by": plan.method.name,
+        "camera_shape": list(plan.camera.shape),
+        "projector_shape": list(plan.projector.shape),
+        "channels": plan.channels,
+        "units": RADIANCE_UNIT,
+        "levels": transport.level_rows,
+        "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
+        "options": plan.options.options(),
+        **({"sources": dict(settings.sources)} if settings.sources else {}),
+    }
 
 
 def assembled(acquisition: Acquisition, levels: int) -> tuple[Transport, NDArray[np.bool_]]:

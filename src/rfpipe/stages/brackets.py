@@ -115,12 +115,8 @@ def capture_brackets(
         began = monotonic()
         with Progress(name, count, done, shown=progress) as bar:
             for start, stop in frames.missing(batch):
-                checks = watch.due(start, stop) if watch else ()
-                for first, last in pairwise([start, *checks, stop]):
-                    if watch:
-                        watch.before(first)
-                    frames.write(first, take_brackets(rig, brackets, first, last))
-                    bar.advance(last - first)
+                _capture_batch(rig, brackets, frames, start, stop, watch)
+                bar.advance(stop - start)
         if done < count:
             _log.info(
                 "%s: %s in %.1f s", name, counted(count - done, "pattern"), monotonic() - began
@@ -128,6 +124,17 @@ def capture_brackets(
         if watch:
             watch.before(count)
         return brackets.entry(frames)
+
+
+def _capture_batch(
+    rig: Rig, brackets: BracketSet, frames: Frames, start: int, stop: int, watch: Watch | None
+) -> None:
+    """Capture and store brackets ``start:stop``, with the check pictures that are due."""
+    checks = watch.due(start, stop) if watch else ()
+    for first, last in pairwise([start, *checks, stop]):
+        if watch:
+            watch.before(first)
+        frames.write(first, take_brackets(rig, brackets, first, last))
 
 
 def record(rig: Rig, storage: Storage, brackets: BracketSet) -> AbstractContextManager[Frames]:

@@ -191,17 +191,22 @@ def check_retakes(config: Config, retakes: Collection[Retake]) -> None:
         return
     for path in dict.fromkeys(retake.folder.path for retake in retakes):
         folder = AcquisitionFolder(path)
-        scene = path.parent.name
-        capture = config.of_scene(scene).capture
-        token = read_token(Path(capture.token_file) if capture.token_file else None)
-        patience = min(capture.patience_seconds, _PATIENCE_BEFORE_RETAKE)
         try:
-            with closing(RemoteRig(str(capture.url), token, patience)) as rig:
-                _check_rays(rig, rig_source_settings(config, scene)["settings"], str(capture.url))
-                if not is_complete(retakes, folder):
-                    _check_same_rig(rig, folder)
+            _check_retake(config, folder, may_change_rig=is_complete(retakes, folder))
         except CaptureError as error:
             raise CaptureError(f"{error}. --retake has set nothing aside") from error
+
+
+def _check_retake(config: Config, folder: AcquisitionFolder, *, may_change_rig: bool) -> None:
+    """Check that the remote rig can take the pictures of an acquisition again."""
+    scene = folder.path.parent.name
+    capture = config.of_scene(scene).capture
+    token = read_token(Path(capture.token_file) if capture.token_file else None)
+    patience = min(capture.patience_seconds, _PATIENCE_BEFORE_RETAKE)
+    with closing(RemoteRig(str(capture.url), token, patience)) as rig:
+        _check_rays(rig, rig_source_settings(config, scene)["settings"], str(capture.url))
+        if not may_change_rig:
+            _check_same_rig(rig, folder)
 
 
 @cache
