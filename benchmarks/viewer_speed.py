@@ -66,11 +66,11 @@ def measure(chromium: Any, path: Path) -> dict[str, Any]:
 def main() -> None:
     from playwright.sync_api import sync_playwright
 
-    rows = []
+    pages, rows = list(given("page", existing)), []
     with sync_playwright() as driver:
         path = shutil.which("chromium")
         chromium = driver.chromium.launch(executable_path=path, args=["--no-sandbox"])
-        for page in given("page", existing):
+        for page in pages:
             rows.append(measure(chromium, page))
             print(rows[-1], file=sys.stderr)
     if rows:
