@@ -65,10 +65,10 @@ def test_few_pictures_of_a_coaxial_rig_select_near_far() -> None:
     result = fit_transport(few, coaxial=True)
     assert (result.model, result.held_out) == ("near/far", 5)
     assert result.error == min(result.errors.values())
-    assert result.errors["least squares"] > 20 * result.error
     assert fit_transport(few).model == "footprints with smooth light"
     error = error_of(result.transport)
-    assert 0.3 * error < result.error < 3 * error < 0.06
+    assert error / 3 < result.error < 3 * error
+    assert error < 0.02
     with pytest.raises(InputError, match="white light"):
         fit_transport(few.some(np.arange(1, 41)), coaxial=True)
 

@@ -61,7 +61,7 @@ def test_saturated_pixels_are_excluded_from_averages(tmp_path: Path) -> None:
     light = counts[:-1].astype(float) - counts[-1]
     three = light[:, [0, 1, 1], [1, 0, 1]].mean(axis=1)
     np.testing.assert_allclose(series.radiance[:, 0, 0], three / 255, atol=1e-6)
-    assert not any("saturated" in note for note in series.notes)
+    assert not any("pixels are saturated" in note for note in series.notes)
 
 
 def test_more_than_1_percent_of_saturated_pixels_is_noted(tmp_path: Path) -> None:
@@ -69,7 +69,8 @@ def test_more_than_1_percent_of_saturated_pixels_is_noted(tmp_path: Path) -> Non
     counts[-2, :, :14] = 255
     for index, picture in enumerate(counts):
         write(tmp_path / f"im{index + 1}.png", picture[..., None])
-    (note,) = (n for n in read_series(tmp_path, patterns="gray:20x16").notes if "saturated" in n)
+    notes = read_series(tmp_path, patterns="gray:20x16").notes
+    (note,) = (note for note in notes if "pixels are saturated" in note)
     assert "29%" in note
     assert "expose shorter" in note
     write(tmp_path / f"im{len(counts) - 1}.png", np.full((40, 48, 1), 255, np.uint8))

@@ -79,7 +79,7 @@ def test_symmetry_brackets_may_be_deleted_after_the_test(tmp_path: Path) -> None
 
 
 class Choice(MethodDescription):
-    """Symmetric photography where the rig is coaxial, else the yardstick."""
+    """Symmetric photography on coaxial rigs, brute force on all others."""
 
     name = "choice"
     title = "Choice"
@@ -96,7 +96,9 @@ class Choice(MethodDescription):
 
 
 @pytest.mark.parametrize("coaxial", [True, False])
-def test_auto_continues_with_the_method_for_the_measured_rig(tmp_path: Path, coaxial: bool) -> None:
+def test_a_method_for_all_rigs_continues_as_the_measured_rig_requires(
+    tmp_path: Path, coaxial: bool
+) -> None:
     matrix = symmetric_matrix() if coaxial else crooked()
     name = f"{__file__}:Choice"
     folder = AcquisitionFolder(tmp_path / "acquired")
@@ -118,7 +120,7 @@ def test_auto_continues_with_the_method_for_the_measured_rig(tmp_path: Path, coa
     assert type(result.transport) is type(stored)
 
 
-def test_auto_uses_the_target_error_if_it_is_below_the_accepted_asymmetry() -> None:
+def test_a_rig_is_coaxial_only_within_the_target_error_of_the_method() -> None:
     asymmetry = Asymmetry(0.03, 0.001)
     for target, coaxial in ((None, True), (0.05, True), (0.01, False)):
         options = SimpleNamespace(target_error=target)
