@@ -93,19 +93,19 @@ def test_core_operator_is_its_equation_and_has_its_adjoint(camera_rays) -> None:
     random = np.random.default_rng(2)
     f, camera_gain = random.uniform(0.5, 2, (2, CAMERA.size)).astype(np.float32)
     g, projector_gain = random.uniform(0.5, 2, (2, PROJECTOR.size)).astype(np.float32)
-    cores = random.normal(size=basis.core_count).astype(np.float32)
+    core_parts = random.normal(size=basis.part_count).astype(np.float32)
     is_diagonal = basis.camera.first == basis.camera.second
-    cores[len(is_diagonal) :][is_diagonal] = 0  # a diagonal entry has no antisymmetric part
-    light = IndirectLight(basis, f, g, camera_gain, projector_gain, cores)
+    core_parts[len(is_diagonal) :][is_diagonal] = 0  # a diagonal core has no antisymmetric part
+    light = IndirectLight(basis, f, g, camera_gain, projector_gain, core_parts)
     operator = core_operator(light, [pictures], camera_rays)
     rows = slice(None) if camera_rays is None else camera_rays
-    S = basis.core_matrix(cores).toarray()
+    S = light.core_matrix().toarray()
     indirect = light.f[:, None] * (basis.L @ S @ basis.R.T.toarray()) * light.g
-    images = operator.forward(cores)
+    images = operator.forward(core_parts)
     np.testing.assert_allclose(images, (indirect @ pictures.patterns)[rows], rtol=1e-3, atol=1e-3)
     test_images = random.normal(size=images.shape).astype(np.float32)
     forward_product = np.vdot(images, test_images)
-    adjoint_product = np.vdot(cores, operator.adjoint(test_images))
+    adjoint_product = np.vdot(core_parts, operator.adjoint(test_images))
     np.testing.assert_allclose(forward_product, adjoint_product, rtol=1e-3, atol=1e-2)
 
 

@@ -71,7 +71,7 @@ def test_blocks_consist_of_cells_and_have_one_size_a_pattern(shape: tuple[int, .
         assert (np.diff(edges[:4]) < 0).all()
 
 
-def test_views_are_lit_in_turn_and_each_as_a_whole_first() -> None:
+def test_views_are_lit_in_turn_after_a_floodlit_pattern_of_each_view() -> None:
     patterns = view_patterns((3, 10, 12), 1, 9).reshape(9, 3, -1)
     lit_views = patterns.any(axis=2)
     assert (lit_views.sum(axis=1) == 1).all()

@@ -1,6 +1,7 @@
 """Footprints with smooth light, fitted to pictures of patterns chosen elsewhere.
 
-As in footprint acquisition the model is ``T = D + f L S R^T g`` (`rfpipe.methods.footprints`):
+As in footprint acquisition the model is ``T = D + diag(f) L S R^T diag(g)``
+(`rfpipe.methods.footprints`):
 few projector rays light each camera ray directly, and indirect light is smooth.
 """
 
@@ -22,7 +23,7 @@ from rfpipe.transport.footprints import FootprintTransport
 
 # On real Gray code (camera of 120 x 160, 30 pictures), 1.4 million unknowns in the fits of indirect
 # light took 4 times as long as 30,000 and placed footprints no better.
-_LIMITS = FitLimits(camera_rays=2048, cores=30_000)
+_LIMITS = FitLimits(camera_rays=2048, core_parts=30_000)
 # Fewer patterns don't distinguish footprints.
 LEAST_PICTURES = 6
 # Squares along the projector's longer side under which smooth light is tested, and the part of it

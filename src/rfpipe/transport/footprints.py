@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 class FootprintTransport(ArrayTransport):
     """Transport ``T = D + diag(f) L S R^T diag(g)`` of each channel, for any two ray domains.
 
-    D are footprints: the few projector rays that light a camera ray directly. L and R are functions
-    over the camera's and the projector's rays, S the light between them, f and g the light that
-    each ray receives and sends. M, N and n are the numbers of camera rays, of projector rays and of
-    functions.
+    D are footprints: the few projector rays that light a camera ray directly. L and R are smooth
+    functions over the camera's and the projector's rays, the cores S the light between them, f and
+    g scale factors of each ray, by which the smooth light has the texture of the scene. M, N, n and
+    C are the numbers of camera rays, of projector rays, of functions and of channels.
 
     Parameters
     ----------
@@ -31,21 +31,26 @@ class FootprintTransport(ArrayTransport):
         See `rfpipe.transport.base.Transport`.
     content : mapping of str to ndarray
         The arrays below; they may be read lazily. Row i of a sparse matrix has its entries in the
-        columns ``{name}_columns[{name}_starts[i] : {name}_starts[i + 1]]``, both int32. No store
-        rounds the arrays, since terms with cores of opposite sign cancel.
+        columns ``{name}_columns[{name}_starts[i] : {name}_starts[i + 1]]``, both int32. Stores keep
+        them in full float32: the terms of cores of opposite sign are large and nearly cancel, so
+        that rounding them would leave large errors.
 
     Notes
     -----
-    ======  ====================  ===================  =============================================
-    symbol  array                 values, float32      meaning and unit
-    ======  ====================  ===================  =============================================
-    ``D``   ``footprints``        (channels, entries)  sparse (M, N), radiance
-    ``L``   ``left``              (entries,)           sparse (M, n), no unit
-    ``R``   ``right``             (entries,)           sparse (N, n), no unit
-    ``S``   ``cores``             (channels, entries)  sparse (n, n), of any sign
-    ``f``   ``camera_factor``     (channels, M)        the product of f, S and g is radiance
-    ``g``   ``projector_factor``  (channels, N)
-    ======  ====================  ===================  =============================================
+    ======  ====================  ===============  =================================================
+    symbol  array                 values, float32  meaning and unit
+    ======  ====================  ===============  =================================================
+    ``D``   ``footprints``        (C, entries)     sparse (M, N), radiance
+    ``L``   ``left``              (entries,)       sparse (M, n), no unit
+    ``R``   ``right``             (entries,)       sparse (N, n), no unit
+    ``S``   ``cores``             (C, entries)     sparse (n, n), of any sign
+    ``f``   ``camera_factor``     (C, M)           scale factor; the product of f, S and g is
+                                                   radiance
+    ``g``   ``projector_factor``  (C, N)           scale factor
+    ======  ====================  ===============  =================================================
+
+    D, L, R and S are sparse: *entries* is the number of entries of that matrix, which all channels
+    have in the same places.
     """
 
     kind = "footprints"
@@ -75,12 +80,16 @@ class FootprintTransport(ArrayTransport):
     def mixed_with_even_light(
         self, smooth: Sequence[float], even: Sequence[float]
     ) -> FootprintTransport:
-        """Return ``D + diag(f) (a L S R^T + b 1 1^T) diag(g)``: a mixture with even light.
+        """Return ``D + diag(f) (smooth L S R^T + even 1 1^T) diag(g)``: a mixture with even light.
+
+        Smooth light of cores of any sign is negative for some patterns if few pictures determine
+        it. A mixture with even light is not; `rfpipe.fitting.footprints` needs it.
 
         Parameters
         ----------
         smooth, even : sequence of float
-            a, from 0 to 1, and b, at least 0, of each channel.
+            Share of the smooth light, from 0 to 1, and strength of the even light, at least 0, of
+            each channel.
         """
         from scipy.sparse import block_array, csr_array, hstack
 
@@ -89,9 +98,9 @@ class FootprintTransport(ArrayTransport):
             ones: Any = csr_array(np.ones((matrix.shape[0], 1), np.float32))
             functions.append(csr_array(hstack([matrix, ones])))
         cores = []
-        for channel, (a, b) in enumerate(zip(smooth, even, strict=True)):
-            S = np.float32(a) * self._matrix("cores", self._content["cores"][channel])
-            constant = csr_array(np.full((1, 1), b, np.float32))
+        for channel, (share, strength) in enumerate(zip(smooth, even, strict=True)):
+            S = np.float32(share) * self._matrix("cores", self._content["cores"][channel])
+            constant = csr_array(np.full((1, 1), strength, np.float32))
             cores.append(csr_array(block_array([[S, None], [None, constant]])))
         arrays = {
             **self._content,

@@ -5,8 +5,9 @@ The model of one colour channel is
     T = D + diag(f) L S R^T diag(g)
 
 A camera pixel receives direct light from a few projector pixels, its *footprint*: a row of the
-sparse matrix D. Indirect light is smooth, up to the factors f and g that carry the texture. Neither
-part is known at first; both are estimated in turn from the same pictures of random patterns.
+sparse matrix D. Indirect light is smooth, up to the scale factors f and g that carry the texture.
+Neither part is known at first; both are estimated in turn from the same pictures of random
+patterns.
 
 Modules, in reading order:
 
@@ -14,7 +15,7 @@ Modules, in reading order:
 - `candidates`: the sparse matrix D and its splitting into projector views;
 - `matching`, `geometry`: the search for the projector pixels that each camera pixel sees;
 - `weights`: the light that each of them contributes, by non-negative least squares;
-- `reciprocity`: D of cameras that share the rays of the projectors;
+- `reciprocity`: D of light fields of coaxial pairs, where ``D = D^T``;
 - `charts`, `functions`: the B-splines L and R, and the factors f and g;
 - `indirect`: the fit of S;
 - `model`, `fit`: the whole model, and the loop that fits D and S in turn;
@@ -24,6 +25,32 @@ Modules, in reading order:
 
 `kernels` has the compiled loops.
 
-Sizes have the same letters throughout: M camera rays, N projector rays (of one view or of all), P
-pictures, K candidate entries of D, n functions.
+Letters have the same meaning throughout the package.
+
+======  ============================================================================================
+letter  size
+======  ============================================================================================
+``M``   camera rays
+``N``   projector rays, of one view or of all views
+``C``   colour channels
+``P``   pictures; of one view, or of all views one after the other
+``K``   candidate entries of D
+``k``   candidate entries of one camera ray, in one row of D
+``m``   selected camera rays
+``n``   functions, the columns of L and of R
+======  ============================================================================================
+
+======  ============================================================================================
+letter  index or array
+======  ============================================================================================
+i, j    index of a camera ray, of a projector ray
+q       index of a picture
+``p``   (N, P) patterns, one a column: weights from 0 to 1
+``c``   (M, P) radiance in the pictures of the patterns p
+``F``   (M,) floodlit image
+======  ============================================================================================
+
+The modules' tables define the others. A *core* is an entry of S; `functions` describes how cores
+are computed from the unknowns of the fit. Some functions treat the camera and projector *rays* of
+one view, which are pixels, and call them so.
 """

@@ -121,11 +121,13 @@ def unique_keys(keys: Index) -> Index:
 
 
 def join_views(parts: Sequence[Candidates]) -> Candidates:
-    """Join the candidates on each projector view, of N pixels, to those on all views."""
+    """Join the candidates on each projector view to those on all views."""
     views = len(parts)
     if views == 1:
         return parts[0]
     size = parts[0].projector_size
+    # pixel j of a view has column view * size + j of D: the key i size + j of the view becomes
+    # (i views + view) size + j
     keys = np.concatenate(
         [
             part.keys + (part.camera_pixels * (views - 1) + view) * size
@@ -148,6 +150,7 @@ def on_view(candidates: Candidates, view: int, views: int) -> Candidates:
     if views == 1:
         return candidates
     size = candidates.projector_size // views
+    # the keys of `join_views`, solved for i size + j
     mask = candidates.keys % candidates.projector_size // size == view
     keys = candidates.keys[mask]
     keys -= (keys // candidates.projector_size * (views - 1) + view) * size

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-# A place is known where direct light exceeds both fractions: of the floodlit image, and of the
-# median direct light.
-_OF_FLOODLIT, _OF_MEDIAN = 0.3, 0.2
+# A place is known where direct light exceeds both shares: of the floodlit image, and of the median
+# direct light.
+_LEAST_SHARE_OF_FLOODLIT, _LEAST_SHARE_OF_MEDIAN = 0.3, 0.2
 
 
 @dataclass(frozen=True)
@@ -51,8 +51,12 @@ class Chart:
             return MultiscaleBasis(self.shape, functions)
         return ChartBasis(self.shape, functions, self.places)
 
-    def cells(self, scale: int) -> Index:
-        """Return the number of the cell of a scale in which each camera ray lies, (M,)."""
+    def chart_cells(self, scale: int) -> Index:
+        """Return the number of the chart cell in which each camera ray lies, (M,).
+
+        Chart cells are squares of the chart with a side of `scale` pixels, which is also the
+        spacing of the functions of that scale.
+        """
         (_, down, across), cell = RayDomain(self.shape).squares(scale)
         if self.places is None:
             return cell
@@ -118,7 +122,7 @@ def chart_from_view(
     shape : tuple of int
         Height and width of its image.
     floodlit : ndarray of float32, shape (M,)
-        Radiance when all of the view is lit.
+        Floodlit image of the view, radiance.
 
     Returns
     -------
@@ -132,7 +136,8 @@ def chart_from_view(
     light = np.asarray(direct.sum(axis=1), np.float64).ravel()
     places = (direct @ centres) / np.maximum(light, np.finfo(np.float32).tiny)[:, None]
     median = float(np.median(light[light > 0])) if (light > 0).any() else 0.0
-    known = (light > _OF_FLOODLIT * floodlit) & (light > _OF_MEDIAN * median)
+    known = light > _LEAST_SHARE_OF_FLOODLIT * floodlit
+    known &= light > _LEAST_SHARE_OF_MEDIAN * median
     places = _extrapolated(camera, places, known, np.array(shape))
     excess = max(-places.min(), (places - shape).max(), 0.0)
     margin = int(min(np.ceil(excess), np.floor(0.5 * min(shape))))

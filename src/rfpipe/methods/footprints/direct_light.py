@@ -13,7 +13,7 @@ from rfpipe.methods.residual.model import CameraCells, ProjectorCells, residual_
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport
 
-# Direct light below this fraction of a pixel's direct light under full light is dark.
+# Direct light below this fraction of a pixel's direct light in the floodlit image is dark.
 _DARK = 0.02
 
 
@@ -32,17 +32,18 @@ def pixels_without_direct_light(direct: FootprintTransport, lit: Bools) -> Bools
     ndarray of bool, shape (P, M)
     """
     patterns = np.concatenate([np.ones_like(lit[:1]), lit])
-    full, *images = relight_white(direct, patterns).sum(axis=1)
-    return ~np.asarray(np.stack(images) > _DARK * full)
+    floodlit, *images = relight_white(direct, patterns).sum(axis=1)
+    return ~np.asarray(np.stack(images) > _DARK * floodlit)
 
 
 def projector_cells(
     direct: FootprintTransport, model: Transport, camera_cells: CameraCells
 ) -> ProjectorCells:
-    """Find the places in the camera's image that the projector's cells light.
+    """Find the places in the camera's image that the residual cells of the projector light.
 
-    The place of a cell is the mean place of its direct light. A cell that lights no camera pixel
-    has the place of the nearest one that does.
+    Residual cells are the squares between which the residual model has light
+    (`rfpipe.methods.residual`). The place of a cell is the mean place of its direct light. A cell
+    that lights no camera pixel has the place of the nearest one that does.
 
     Parameters
     ----------
@@ -61,9 +62,9 @@ def projector_cells(
     places = np.stack(moments) / np.where(lights_camera, light, 1) / camera_cells.cells.side
     if lights_camera.any() and not lights_camera.all():
         places = places[:, nearest_known(lights_camera.reshape(cells.stack))]
-    white = np.ones((1, len(channels), camera.size), np.float32)
-    sent = np.maximum(model.adjoint(white, channels)[0], 0)
-    return ProjectorCells(cells, root_factor(sent), places.T.astype(np.float32))
+    ones = np.ones((1, len(channels), camera.size), np.float32)
+    ray_light = np.maximum(model.adjoint(ones, channels)[0], 0)
+    return ProjectorCells(cells, root_factor(ray_light), places.T.astype(np.float32))
 
 
 def _moment_images(camera: RayDomain, channels: Sequence[int]) -> np.ndarray:

@@ -13,7 +13,7 @@ Neither part of ``T = D + diag(f) L S R^T diag(g)`` is known at first:
    the channels, and to each channel.
 
 With several projector views each camera pixel has footprints on every view, and each pattern lights
-one view. If cameras and projectors share their rays, ``D = D^T`` (`reciprocity`).
+one view. In a light field of coaxial pairs, ``D = D^T`` (`reciprocity`).
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ if TYPE_CHECKING:
 Views = tuple[ViewPictures, ...]
 """Pictures of one channel, or of the channels' sum, for each projector view."""
 
-# Seed, and default number, of the camera rays in the fit of indirect light in a light field.
+# Seed, and default number, of the camera rays in the fit of indirect light with several views.
 _SEED, _LIGHT_FIELD_RAYS = 2006, 4096
 # Candidates below this fraction of the floodlit image are dropped between searches.
 _FAINT = 0.005
@@ -90,12 +90,12 @@ class FitLimits:
     ----------
     camera_rays : int
         Largest number of camera rays; a random subset is used if there are more.
-    cores : int
-        Largest number of unknowns.
+    core_parts : int
+        Largest number of unknowns of S, two for each pair of functions.
     """
 
     camera_rays: int
-    cores: int = 1_500_000
+    core_parts: int = 1_500_000
 
 
 @dataclass(frozen=True)
@@ -111,7 +111,8 @@ class _Problem:
         One for each projector view.
     camera_rays : ndarray of int64, optional
         Rays in the fits of indirect light, ascending; None for all.
-    largest_core_count : int
+    largest_part_count : int
+        `FitLimits.core_parts`.
     """
 
     camera: RayDomain
@@ -119,7 +120,7 @@ class _Problem:
     grey: Views
     templates: list[BoxTemplates]
     camera_rays: Index | None
-    largest_core_count: int
+    largest_part_count: int
 
 
 def fit_model(
@@ -169,16 +170,16 @@ def _problem(
     view = RayDomain(projector.image_shape)
     templates = []
     for pictures in grey:
-        # projector pixels along each axis of a lit camera pixel, approximately
-        lit = max(1.0, float(pictures.lit_pixels.sum()) / camera.views)
-        density = float(np.sqrt(view.size / lit))
-        templates.append(box_templates(view, pictures.patterns, density))
+        lit_count = max(1.0, float(pictures.lit_pixels.sum()) / camera.views)
+        # projector pixels that a lit camera pixel spans along each axis, approximately
+        pixels_across = float(np.sqrt(view.size / lit_count))
+        templates.append(box_templates(view, pictures.patterns, pixels_across))
     limits = limits or FitLimits(_LIGHT_FIELD_RAYS if len(grey) > 1 else camera.size)
     camera_rays = None
     if camera.size > limits.camera_rays:
         order = generator(_SEED, camera.size).permutation(camera.size)
         camera_rays = np.sort(order[: limits.camera_rays])
-    return _Problem(camera, projector, grey, templates, camera_rays, limits.cores)
+    return _Problem(camera, projector, grey, templates, camera_rays, limits.core_parts)
 
 
 def _first_footprints(problem: _Problem) -> Candidates:
@@ -240,7 +241,7 @@ def _fit_reciprocal_parts(
     light: IndirectLight,
     camera_rays: Index | None,
 ) -> ChannelModel:
-    """Fit weights with ``D = D^T``, and S, in turn.
+    """Fit weights near ``D = D^T``, and S, in turn.
 
     The mean of D and its transpose is known so well that S is fitted to the pictures minus direct
     light, with a small prior variance for errors of the weights.
@@ -272,7 +273,10 @@ def _fit_weights_of_views(
 
 
 def _fit_channel(problem: _Problem, pictures: Views, combined: ChannelModel) -> ChannelModel:
-    """Fit a channel, starting from the model of the channels' sum, scaled to its brightness."""
+    """Fit a channel, starting from the model of the channels' sum, scaled to its brightness.
+
+    The share of the channel, (M,), is its floodlit image over that of the channels' sum.
+    """
     floodlit, grey = floodlit_by_all(pictures), floodlit_by_all(problem.grey)
     share = np.divide(floodlit, grey, out=np.zeros_like(floodlit), where=grey > 0)
     if not any(view.has_light() for view in pictures):
@@ -287,14 +291,15 @@ def _fit_channel(problem: _Problem, pictures: Views, combined: ChannelModel) -> 
     mapping = light.basis.mapping
     typical = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
     visibility = mapping.visibility
-    sent = visibility * (mapping.means @ share) + (1 - visibility) * np.float32(typical)
+    projector_share = visibility * (mapping.means @ share) + (1 - visibility) * np.float32(typical)
+    # f and g are both scaled by the share, but their product only by one share: S takes one back
     light = IndirectLight(
         light.basis,
         light.f * share,
-        (light.g * sent).astype(np.float32),
+        (light.g * projector_share).astype(np.float32),
         np.ones_like(light.camera_gain),
         np.ones_like(light.projector_gain),
-        light.cores / np.float32(typical or 1.0),
+        light.core_parts / np.float32(typical or 1.0),
     )
     if not share.any():
         return ChannelModel(footprints, light)
@@ -306,8 +311,9 @@ def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
     camera, projector, grey = problem.camera, problem.projector, problem.grey
     direct, floodlit = footprints.matrix(), floodlit_by_all(grey)
     chart = _chart(problem, footprints)
-    shared = len(grey) > 1 and camera == projector and is_symmetric(footprints)
-    mapping = identity_map(camera.size) if shared else camera_to_projector(direct, floodlit)
+    # a single coaxial pair is left to near/far acquisition; here it counts as any rig of one view
+    is_coaxial = len(grey) > 1 and camera == projector and is_symmetric(footprints)
+    mapping = identity_map(camera.size) if is_coaxial else camera_to_projector(direct, floodlit)
     f = camera_factor(direct, floodlit)
     g = projector_factor(mapping, f, floodlit)
     expected = _mean_indirect_light(grey, floodlit, direct)
@@ -316,19 +322,20 @@ def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
 
     def fit(functions: NDArray[np.int32], previous: IndirectLight | None) -> IndirectLight | None:
         basis = IndirectBasis(chart.basis(functions), projector, mapping)
-        if previous is not None and basis.core_count > problem.largest_core_count:
+        if previous is not None and basis.part_count > problem.largest_part_count:
             return None
         gains = (np.ones(camera.size, np.float32), np.ones(projector.size, np.float32))
         if previous is not None:
             gains = previous.camera_gain, previous.projector_gain
-        light = IndirectLight(basis, f, g, *gains, np.zeros(basis.core_count, np.float32))
+        light = IndirectLight(basis, f, g, *gains, np.zeros(basis.part_count, np.float32))
         light = fit_cores(light, data, basis.prior_deviations(expected, mean), ROUGH)
         return fit_gains(fit_cores(light, data, light.learned_deviations(), GOOD), data)
 
     def cells_to_refine(light: IndirectLight, scale: int) -> Bools:
+        # the two coarsest scales cover the whole chart; only finer ones depend on the residual
         if 2 * scale == coarsest_scale(chart.shape):
             return np.ones(cells(chart.shape, scale), np.bool_)
-        return _unexplained_cells(chart, scale, light, data)
+        return _unexplained_chart_cells(chart, scale, light, data)
 
     light = coarse_to_fine(chart.shape, fit, cells_to_refine)
     return fit_cores(light, data, light.learned_deviations(), BEST)
@@ -350,19 +357,23 @@ def _mean_indirect_light(pictures: Views, floodlit: Float, direct: csr_array[np.
 
     With one view it is measured where footprints are dark, in patterns with half of the pixels lit.
     """
-    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
+    direct_light: Float = np.asarray(direct.sum(axis=1)).ravel()
     if len(pictures) > 1:
-        return max(float((floodlit - lit).mean(dtype=np.float64)), 0.0)
+        return max(float((floodlit - direct_light).mean(dtype=np.float64)), 0.0)
     (view,) = pictures
-    lit_part = (direct @ view.patterns[:, 1:]) / np.maximum(lit, np.finfo(np.float32).tiny)[:, None]
+    positive = np.maximum(direct_light, np.finfo(np.float32).tiny)
+    lit_part = (direct @ view.patterns[:, 1:]) / positive[:, None]
+    # 1 where no direct light is on, 0 where at least a quarter of it is on
     dark = (1 - np.clip(4 * lit_part, 0, 1)) * view.known[:, None]
     light = (np.where(dark > 0, view.radiance[:, 1:], 0) * dark).sum(dtype=np.float64)
     return max(2 * float(light), 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
 
 
-def _unexplained_cells(chart: Chart, scale: int, light: IndirectLight, data: FitData) -> Bools:
-    """Find the cells of a scale whose errors exceed noise and 0.4 % of the floodlit image."""
-    cell = chart.cells(scale)
+def _unexplained_chart_cells(
+    chart: Chart, scale: int, light: IndirectLight, data: FitData
+) -> Bools:
+    """Find the chart cells whose errors exceed noise and 0.4 % of the floodlit image."""
+    cell = chart.chart_cells(scale)
     if data.camera_rays is not None:
         cell = cell[data.camera_rays]
     chi_square, freedom, allowed = misfit(light, data, _ALLOWED_ERROR)

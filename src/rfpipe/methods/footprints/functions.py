@@ -1,4 +1,4 @@
-"""Functions and factors of indirect light, on the sides of the camera and of the projector.
+"""Functions and scale factors of indirect light, on the sides of the camera and of the projector.
 
 Indirect light is ``diag(f) L S R^T diag(g)``. L are B-splines over a chart of the camera's rays
 (`rfpipe.methods.footprints.charts`). No image shows the scene from the projector. Therefore the
@@ -6,33 +6,43 @@ footprints D map L and f to its side: a projector pixel has the mean value of th
 it lights directly. With the direct light ``D 1`` and the floodlit image F,
 
     V = diag(1 / D^T 1) D^T
-    b = (D^T 1) / (V F)              divided by its median
-    v = b / (b + 0.15)               0 where b is at most 0.05
-    R = diag(v) V L
-    h = F - D 1                      at least 0.03 F
-    f = h median(F / h)              the median over lit pixels, at most 20
-    g = v (V f) + (1 - v) median(F)
+    brightness = (D^T 1) / (V F)                   divided by its median
+    v = brightness / (brightness + 0.15)           0 where the brightness is at most 0.05
+    R = diag(v) V L                                one projector view
+    R = diag(v) L(V places)                        several views
+    h = F - D 1                                    at least 0.03 F, at most F
+    f = h median(F / (F - D 1))                    the median from 1 to 20, over the pixels where
+                                                   most light is direct: D 1 > F / 2
+    g = v (V f) + (1 - v) median(F)                the median over F > 0
 
-b is the brightness of a projector pixel in the camera's image, relative to typical ones. Where the
-camera does not see the pixel, R is 0, and its indirect light is left to the residual model. The
-factor f equals F at a typical lit pixel; unlike F it has no edge at a shadow.
+With several views, L are functions of places on a chart, and R has their values at the mean places
+of the camera rays that each projector ray lights. The brightness of a projector pixel is that in
+the camera's image. Where the camera does not see the pixel, R is 0, and its indirect light is left
+to the residual model.
+
+f and g are not light, but factors proportional to it: f is proportional to the indirect light of
+the floodlit image, and equals F at a typical pixel with mostly direct light. Unlike F it has no
+edge at a shadow. S has the remaining scale.
 
 ======  ==============================  ======  ====================================================
 symbol  name in the code                shape   meaning and unit
 ======  ==============================  ======  ====================================================
 ``D``   `direct`                        (M, N)  footprints, radiance
 ``F``   `floodlit`                      (M,)    floodlit image, radiance
-``V``   `CameraToProjector.means`       (N, M)  means over camera pixels
+``V``   `CameraToProjector.means`       (N, M)  means over camera rays
 ``v``   `CameraToProjector.visibility`  (N,)    0 to 1
 ``L``   `IndirectBasis.L`               (M, n)  functions over camera rays
 ``R``   `IndirectBasis.R`               (N, n)  functions over projector rays
-``S``   `core_matrix`                   (n, n)  light between functions, inverse radiance
-``f``   `camera_factor`                 (M,)    indirect light received, radiance
-``g``   `projector_factor`              (N,)    indirect light sent, radiance
+``S``   `IndirectBasis.core_matrix`     (n, n)  cores: light between functions, inverse radiance
+``h``   `indirect`                      (M,)    estimate of indirect light, radiance
+``f``   `camera_factor`                 (M,)    scale factor of each camera ray, radiance
+``g``   `projector_factor`              (N,)    scale factor of each projector ray, radiance
 ======  ==============================  ======  ====================================================
 
-S is not symmetric. For each pair of functions (a, b) there are two unknowns: the symmetric part
-``(S_ab + S_ba) / 2``, and the antisymmetric part ``(S_ab - S_ba) / 2``.
+A *core* is an entry of S, which is sparse and not symmetric. For each pair (a, b) of functions that
+exchange light, the fit has two unknowns, the *core parts*: the symmetric part
+``(S_ab + S_ba) / 2``, and the antisymmetric part ``(S_ab - S_ba) / 2``. An array of core parts has
+the symmetric parts of all pairs, then their antisymmetric parts.
 """
 
 from __future__ import annotations
@@ -81,11 +91,11 @@ def camera_to_projector(direct: csr_array[np.float32], floodlit: Float) -> Camer
     """Compute V and v from the footprints (M, N) and the floodlit image (M,)."""
     from scipy.sparse import diags_array
 
-    sent: Float = np.asarray(direct.sum(axis=0)).ravel()
-    inverse = np.divide(1, sent, out=np.zeros_like(sent), where=sent > 0)
+    light: Float = np.asarray(direct.sum(axis=0)).ravel()
+    inverse = np.divide(1, light, out=np.zeros_like(light), where=light > 0)
     means = (diags_array(inverse) @ direct.T).tocsr().astype(np.float32)
     typical = means @ floodlit
-    brightness = np.divide(sent, typical, out=np.zeros_like(sent), where=typical > 0)
+    brightness = np.divide(light, typical, out=np.zeros_like(light), where=typical > 0)
     # several projector pixels that one camera pixel covers share its light
     is_bright = brightness > 0
     median = float(np.median(brightness[is_bright])) if is_bright.any() else 1.0
@@ -107,16 +117,17 @@ def identity_map(size: int) -> CameraToProjector:
 
 def camera_factor(direct: csr_array[np.float32], floodlit: Float) -> Float:
     """Compute f from the footprints (M, N) and the floodlit image (M,)."""
-    lit: Float = np.asarray(direct.sum(axis=1)).ravel()
-    indirect = np.maximum(floodlit - lit, 1e-6 * floodlit)
-    mask = (lit > 0.5 * floodlit) & (indirect > 0)
-    ratio = np.clip(np.median(floodlit[mask] / indirect[mask]), 1, 20.0) if mask.any() else 1.0
+    direct_light: Float = np.asarray(direct.sum(axis=1)).ravel()
+    indirect = np.maximum(floodlit - direct_light, 1e-6 * floodlit)
+    is_mostly_direct = (direct_light > 0.5 * floodlit) & (indirect > 0)
+    ratios = floodlit[is_mostly_direct] / indirect[is_mostly_direct]
+    ratio = np.clip(np.median(ratios), 1, 20.0) if len(ratios) else 1.0
     factor: Float = (np.clip(indirect, 0.03 * floodlit, floodlit) * ratio).astype(np.float32)
     return factor
 
 
 def projector_factor(mapping: CameraToProjector, factor: Float, floodlit: Float) -> Float:
-    """Compute g from f, (M,), and the floodlit image (M,)."""
+    """Compute g, (N,), from f, (M,), and the floodlit image (M,)."""
     positive = floodlit[floodlit > 0]
     typical = float(np.median(positive)) if len(positive) else 0.0
     visibility = mapping.visibility
@@ -141,8 +152,8 @@ class IndirectBasis:
     mapping: CameraToProjector
 
     @property
-    def core_count(self) -> int:
-        """Number of unknowns of S: symmetric parts of all pairs, then antisymmetric parts."""
+    def part_count(self) -> int:
+        """Number of core parts: two for each pair of functions."""
         return 2 * len(self.camera.first)
 
     @cached_property
@@ -156,10 +167,10 @@ class IndirectBasis:
         from scipy.sparse import diags_array
 
         if isinstance(self.camera, ChartBasis):
-            arriving = self.camera.at(np.asarray(self.mapping.means @ self.camera.places))
+            mapped = self.camera.at(np.asarray(self.mapping.means @ self.camera.places))
         else:
-            arriving = self.mapping.means @ self.L
-        visible: Any = diags_array(self.mapping.visibility) @ arriving
+            mapped = self.mapping.means @ self.L
+        visible: Any = diags_array(self.mapping.visibility) @ mapped
         matrix: csr_array[np.float32] = visible.tocsr().astype(np.float32)
         return matrix
 
@@ -172,14 +183,14 @@ class IndirectBasis:
         return [self.R[view * size : (view + 1) * size] for view in range(views)]
 
     @property
-    def _projector_density(self) -> float:
-        """Number of projector rays, in all views, that light the surface of a camera ray."""
+    def _rays_per_surface_point(self) -> float:
+        """Number of projector rays, in all views, that light the surface point of a camera ray."""
         if isinstance(self.camera, ChartBasis):
             return float(self.projector.views)
         return float(self.projector.size / np.prod(self.camera.shape))
 
     def prior_deviations(self, indirect: float, floodlit: float) -> Float:
-        """Compute the standard deviations of the cores before any fit, (core_count,).
+        """Compute the standard deviations of the core parts before any fit, (part_count,).
 
         Parameters
         ----------
@@ -189,17 +200,18 @@ class IndirectBasis:
             Mean of the floodlit image, radiance.
         """
         area = prior_areas(self.camera)
-        level = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
-        symmetric = level / (area * self._projector_density)
+        # f and g are about F, so that S is about indirect light over F^2
+        mean_core = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
+        symmetric = mean_core / (area * self._rays_per_surface_point)
         return np.concatenate([symmetric, _ANTISYMMETRY * symmetric]).astype(np.float32)
 
     @cached_property
-    def core_groups(self) -> Index:
-        """Number of each core's group, (core_count,).
+    def part_groups(self) -> Index:
+        """Number of each core part's group, (part_count,).
 
-        Cores of a group share one standard deviation: pairs of the same two scales, at distances
-        that differ by less than half of the coarser scale. Symmetric and antisymmetric parts are
-        in different groups.
+        Core parts of a group share one standard deviation: those of pairs of the same two scales,
+        at distances that differ by less than half of the coarser scale. A scale is the spacing of
+        functions in pixels. Symmetric and antisymmetric parts are in different groups.
         """
         basis = self.camera
         scales = basis.scales[basis.first], basis.scales[basis.second]
@@ -212,11 +224,11 @@ class IndirectBasis:
         group: Index = np.unique(np.concatenate([key, key + (1 << 40)]), return_inverse=True)[1]
         return group
 
-    def core_matrix(self, cores: Float) -> csr_array[np.float32]:
-        """Return S, (n, n), from the cores (core_count,)."""
+    def core_matrix(self, core_parts: Float) -> csr_array[np.float32]:
+        """Return S, (n, n), from the core parts (part_count,)."""
         from scipy.sparse import coo_array
 
-        basis, (symmetric, antisymmetric) = self.camera, np.split(cores, 2)
+        basis, (symmetric, antisymmetric) = self.camera, np.split(core_parts, 2)
         off_diagonal = basis.first != basis.second
         rows = np.concatenate([basis.first, basis.second[off_diagonal]])
         columns = np.concatenate([basis.second, basis.first[off_diagonal]])

@@ -6,13 +6,13 @@ camera pixel the box of the projector's image whose patterns its radiance resemb
 
 1. projector pixels whose weight exceeds 1 % of the floodlit image, and those that at least two of
    the eight neighbouring camera pixels see; each with its eight neighbours;
-2. for camera pixels with a large residual, the box that explains it best, such as a reflection.
+2. for camera pixels whose residual a box explains well, that box, such as a reflection.
 
 Two places of the projector may have the same light in all patterns: with 24 patterns, for one pixel
 in a hundred at 96 x 96. Then the place that neighbouring camera pixels also see is preferred, by a
-larger prior variance: the prior standard deviation of a weight is the larger of ``s x`` and
-``(0.05 + 0.2 s) F`` for the weight x, the floodlit radiance F, and the fraction s of neighbours
-that see the candidate or a pixel near it.
+larger prior variance: the prior standard deviation of a weight x is the larger of ``support x`` and
+``(0.05 + 0.2 support) F``, with the floodlit radiance F. The *support*, 0 to 1, is the fraction of
+the camera pixel's neighbours that see the candidate or a pixel near it.
 """
 
 from __future__ import annotations
@@ -31,8 +31,9 @@ from rfpipe.methods.footprints.matching import (
 from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.methods.footprints.weights import MODEL_ERROR, TINY, non_negative_weights
 
-# Least reduction of the squared residual by a new place, in squared standard deviations.
-_LEAST_GAIN = 25.0
+# Least reduction of chi-square, the squared residual in squared standard deviations, by a new box,
+# and its least share of chi-square.
+_LEAST_CHI_SQUARE_DROP, _LEAST_DROP_SHARE = 25.0, 0.25
 # Weights above this fraction of the floodlit image are certain enough to guide the search.
 _STRONG = 0.01
 # Standard deviations relative to the floodlit image in the first fit: weights, indirect light.
@@ -66,13 +67,14 @@ def _fit_first_weights(
 ) -> Candidates:
     """Fit weights with smooth indirect light as noise.
 
-    With noise of variance v the covariance of a pixel's pictures is
-    ``v I + (0.2 F)^2 E^T E / cells``, E the mean light of each pattern in coarse cells. It becomes
-    diagonal when pictures and patterns are multiplied by the eigenvectors of ``E^T E``.
+    The covariance of a pixel's pictures is ``noise I + (0.2 F)^2 E'^T E' / coarse_cells``, where
+    E', (coarse_cells, P), is the mean of each pattern over coarse cells (``E + 1/2``, see
+    `coarse_light`), and noise the pixel's variance, radiance squared. The covariance becomes
+    diagonal when pictures and patterns are multiplied by the eigenvectors of ``E'^T E'``.
     """
     floodlit, known = pictures.floodlit, pictures.known[:, None]
-    cells = coarse_light(projector, pictures.patterns) + 0.5
-    power, rotation = np.linalg.eigh(cells.T @ cells / len(cells))
+    cell_means = coarse_light(projector, pictures.patterns) + 0.5
+    power, rotation = np.linalg.eigh(cell_means.T @ cell_means / len(cell_means))
     smooth = np.square(_FIRST_INDIRECT * floodlit)[:, None] * np.maximum(power, 0)
     inverse_variance = np.maximum(pictures.inverse_variance(MODEL_ERROR), TINY)
     noise = np.where(known, 1 / inverse_variance, 1).mean(axis=1, keepdims=True)
@@ -131,12 +133,18 @@ def refined_candidates(
 def _residual_keys(
     pictures: ViewPictures, candidates: Candidates, indirect: Float, templates: BoxTemplates
 ) -> Index:
-    """Find boxes that explain the residual of pixels where it is large, as sorted keys."""
+    """Find boxes that explain residuals of camera pixels, as sorted keys.
+
+    A box is accepted if its best weight reduces the pixel's chi-square by more than 25, and by more
+    than 25 %. Pixels whose chi-square is above 25 and P / 2 are compared with boxes. Noise alone
+    gives about P, so that this skips only pixels where the model fits better than noise. If the
+    pixels are too many, those of largest chi-square are compared.
+    """
     residual = pictures.radiance - indirect - candidates.matrix() @ pictures.patterns
     inverse_variance = pictures.inverse_variance(MODEL_ERROR)
-    chi_square = np.einsum("im,im,im->i", inverse_variance, residual, residual)
-    is_large = chi_square > max(_LEAST_GAIN, residual.shape[1] / 2)
-    pixel = np.flatnonzero(pictures.lit_pixels & is_large)
+    chi_square = np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
+    may_hide_light = chi_square > max(_LEAST_CHI_SQUARE_DROP, residual.shape[1] / 2)
+    pixel = np.flatnonzero(pictures.lit_pixels & may_hide_light)
     if len(pixel) > templates.most_series:
         worst = np.argsort(-chi_square[pixel], kind="stable")[: templates.most_series]
         pixel = np.sort(pixel[worst])
@@ -144,9 +152,10 @@ def _residual_keys(
     box, correlation = matched_filter(templates, pictures).match(series)
     response, weight = templates.response[box], inverse_variance[pixel]
     # reduction of chi-square by the box with its best weight
-    gain = np.square(np.einsum("im,im,im->i", weight, residual[pixel], response))
-    gain /= np.maximum(np.einsum("im,im,im->i", weight, response, response), TINY)
-    explains = (correlation > 0) & (gain > _LEAST_GAIN) & (gain > 0.25 * chi_square[pixel])
+    drop = np.square(np.einsum("iq,iq,iq->i", weight, residual[pixel], response))
+    drop /= np.maximum(np.einsum("iq,iq,iq->i", weight, response, response), TINY)
+    explains = (correlation > 0) & (drop > _LEAST_CHI_SQUARE_DROP)
+    explains &= drop > _LEAST_DROP_SHARE * chi_square[pixel]
     return pixels_in_boxes(templates, pixel[explains], box[explains])
 
 

@@ -1,31 +1,42 @@
 """Fit of the indirect light: regularised least squares over all pictures.
 
-Picture p of camera pixel i is ``c_ip = (D P)_ip + (f L S R^T g P)_ip + noise`` for the patterns P.
-The weights in D are marginalised (`rfpipe.methods.footprints.weights`), so that each camera pixel
-has a precision K_i, and every pixel takes part, lit or dark. The cores S minimise
+The pictures of the patterns p are ``c = D p + z + noise`` with the indirect light
 
-    sum_i (c_i - (f L S B)_i)^T K_i (c_i - (f L S B)_i) + sum_k (S_k / sigma_k)^2,    B = R^T g P
+    z = diag(f) L S J,    J = R^T diag(g) p
 
-by conjugate gradients in the unknowns S / sigma. The deviations sigma are learned from the fitted
-cores (`rfpipe.methods.smooth_light`). Then each projector pixel and each camera pixel has a *gain*
-that is fitted with S fixed: factors of g and f, with prior mean 1.
+Row i has the pictures of camera ray i. The weights in D are marginalised
+(`rfpipe.methods.footprints.weights`), so that each camera ray has a precision Lambda_i, and every
+ray takes part, lit or dark. S minimises
 
-=========  =======================  ==============  ================================================
-symbol     name in the code         shape           meaning and unit
-=========  =======================  ==============  ================================================
-``P``      `ViewPictures.patterns`  (N, P)          light of the patterns, 0 to 1
-``c``      `FitData.radiance`       (M, P)          pictures, radiance
-``K``      `FitData.precisions`     (M, P, P)       precision of each camera pixel
-``f, g``   `IndirectLight.f`, `.g`  (M,), (N,)      factors with gains, radiance
-``L, R``   `IndirectBasis.L`, `.R`  (M, n), (N, n)  functions
-``S``      `IndirectLight.cores`    (cores,)        symmetric, then antisymmetric parts, inverse
-                                                    radiance
-``B``      `CoreOperator.sent`      (n, P)          light of the patterns on the functions
-``sigma``  `deviations`             (cores,)        prior standard deviations of S
-=========  =======================  ==============  ================================================
+    sum_i (c_i - z_i)^T Lambda_i (c_i - z_i) + sum (core parts / sigma)^2
 
-With several projector views the pictures of all views are concatenated along P. A fit may be
-restricted to some of the camera rays; then M is their number.
+by conjugate gradients in the unknowns *core parts* / sigma, where the core parts are the symmetric
+and antisymmetric parts of S (`rfpipe.methods.footprints.functions`). The deviations sigma are
+learned from the fitted core parts (`rfpipe.methods.smooth_light`). Then the *gains*, factors of g
+and of f with prior mean 1, are fitted with S fixed: one for each projector ray and camera ray.
+
+==========  ============================  ===============  =========================================
+symbol      name in the code              shape            meaning and unit
+==========  ============================  ===============  =========================================
+``p``       `ViewPictures.patterns`       (N, P), a view   patterns, 0 to 1
+``c``       `FitData.radiance`            (M, P)           pictures, radiance
+``z``       `CoreOperator.forward`        (M, P)           indirect light in the pictures, radiance
+``Lambda``  `FitData.precisions`          (P, P), a ray    precisions of the rows of c, by their
+                                                           factors, see `MarginalPrecision`
+``f``       `IndirectLight.f`             (M,)             scale factors with gains, radiance
+``g``       `IndirectLight.g`             (N,)             scale factors with gains, radiance
+``L``       `IndirectBasis.L`             (M, n)           functions over camera rays, sparse
+``R``       `IndirectBasis.R`             (N, n)           functions over projector rays, sparse
+``S``       `IndirectLight.core_matrix`   (n, n)           cores, sparse, inverse radiance
+``-``       `IndirectLight.core_parts`    (part_count,)    the unknowns of S, inverse radiance
+``sigma``   `deviations`                  (part_count,)    their prior standard deviations
+``J``       `CoreOperator.pattern_light`  (n, P)           light of the patterns on the functions
+``gamma``   `projector_gain`              (N,)             gains of projector rays, no unit
+``tau``     `spread`                      (N,)             their prior standard deviations
+==========  ============================  ===============  =========================================
+
+With several projector views, P counts the pictures of all views, one view after the other, and p is
+block-diagonal. A fit may be restricted to some of the camera rays; then M is their number.
 """
 
 from __future__ import annotations
@@ -61,8 +72,8 @@ ROUGH, GOOD, BEST = Accuracy(1e-2, 40), Accuracy(1e-3, 120), Accuracy(3e-4, 200)
 
 _GAIN_ACCURACY = Accuracy(1e-2, 25)
 _LEAST_GAIN, _LARGEST_GAIN = 0.2, 4.0
-# Prior standard deviations of gains: of projector pixels that the camera sees, of those that it
-# does not see, and of camera pixels.
+# Prior standard deviations of gains: of projector rays that the camera sees, of those that it does
+# not see, and of camera rays.
 _VISIBLE_SPREAD, _HIDDEN_SPREAD, _CAMERA_SPREAD = 0.05, 0.3, 0.1
 
 
@@ -76,12 +87,12 @@ class IndirectLight:
         L, R and the pairs of functions.
     camera_factor : ndarray of float32, shape (camera rays,)
     projector_factor : ndarray of float32, shape (projector rays,)
-        Factors without gains, see `rfpipe.methods.footprints.functions`.
+        Scale factors without gains, see `rfpipe.methods.footprints.functions`.
     camera_gain : ndarray of float32, shape (camera rays,)
     projector_gain : ndarray of float32, shape (projector rays,)
         1 where the pictures do not determine them.
-    cores : ndarray of float32, shape (basis.core_count,)
-        S: symmetric parts, then antisymmetric parts.
+    core_parts : ndarray of float32, shape (basis.part_count,)
+        Symmetric parts of S, then antisymmetric parts.
     """
 
     basis: IndirectBasis
@@ -89,28 +100,32 @@ class IndirectLight:
     projector_factor: Float
     camera_gain: Float
     projector_gain: Float
-    cores: Float
+    core_parts: Float
 
     @property
     def f(self) -> Float:
-        """Factor of the camera rays, (camera rays,)."""
+        """Scale factors of the camera rays, with gains, (camera rays,)."""
         return self.camera_factor * self.camera_gain
 
     @property
     def g(self) -> Float:
-        """Factor of the projector rays, (projector rays,)."""
+        """Scale factors of the projector rays, with gains, (projector rays,)."""
         return self.projector_factor * self.projector_gain
 
+    def core_matrix(self) -> csr_array[np.float32]:
+        """Return S, (n, n)."""
+        return self.basis.core_matrix(self.core_parts)
+
     def learned_deviations(self) -> Float:
-        """Return the root mean square of the cores of each group, (core_count,)."""
-        return learned_deviations(self.basis.core_groups, self.cores)
+        """Return the root mean square of the core parts of each group, (part_count,)."""
+        return learned_deviations(self.basis.part_groups, self.core_parts)
 
     def in_pictures(self, pictures: Sequence[ViewPictures]) -> list[Float]:
         """Compute the indirect light in the pictures of each projector view.
 
         Only the patterns are used. Returns one float32 array (camera rays, P) for each view.
         """
-        light = core_operator(self, pictures, None).forward(self.cores)
+        light = core_operator(self, pictures, None).forward(self.core_parts)
         return _split(light, pictures)
 
 
@@ -158,50 +173,52 @@ def fit_data(
 
 @dataclass(frozen=True)
 class CoreOperator:
-    """Linear map from the cores to the pictures, ``S -> f L S B`` with ``B = R^T g P``.
+    """Linear map from the core parts to the indirect light in the pictures.
+
+    ``S -> z = diag(f) L S J`` with ``J = R^T diag(g) p``.
 
     Attributes
     ----------
     basis : IndirectBasis
     L : csr_array of float32, shape (M, n)
     f : ndarray of float32, shape (M,)
-    sent : ndarray of float32, shape (n, P)
-        B.
+    pattern_light : ndarray of float32, shape (n, P)
+        J.
     """
 
     basis: IndirectBasis
     L: csr_array[np.float32]
     f: Float
-    sent: Float
+    pattern_light: Float
 
-    def forward(self, cores: Float) -> Float:
-        """Compute the pictures of cores, (M, P)."""
+    def forward(self, core_parts: Float) -> Float:
+        """Compute the indirect light of core parts (part_count,) in the pictures, (M, P)."""
         from rfpipe.transport.pair_kernels import AsymmetricCores, couple_asymmetric
 
-        received = np.zeros_like(self.sent)
-        S = AsymmetricCores(*self.basis.camera.pairs, *np.split(cores, 2))
-        couple_asymmetric(S, self.sent, received)
+        received = np.zeros_like(self.pattern_light)
+        S = AsymmetricCores(*self.basis.camera.pairs, *np.split(core_parts, 2))
+        couple_asymmetric(S, self.pattern_light, received)
         images: Float = (self.L @ received) * self.f[:, None]
         return images
 
     def adjoint(self, images: Float) -> Float:
-        """Apply the transpose of `forward` to images (M, P); returns (core_count,)."""
+        """Apply the transpose of `forward` to images (M, P); returns (part_count,)."""
         from rfpipe.transport.pair_kernels import AsymmetricCores, correlate_asymmetric
 
         received = self.L.T @ (images * self.f[:, None])
         received = np.ascontiguousarray(received, np.float32)
-        result = np.empty(self.basis.core_count, np.float32)
+        result = np.empty(self.basis.part_count, np.float32)
         S = AsymmetricCores(*self.basis.camera.pairs, *np.split(result, 2))  # views of the result
-        correlate_asymmetric(received, self.sent, S)
+        correlate_asymmetric(received, self.pattern_light, S)
         return result
 
     def normal_diagonal(self, data: FitData) -> Float:
-        """Estimate the diagonal of ``forward^T K forward``, (core_count,)."""
+        """Estimate the diagonal of ``forward^T Lambda forward``, (part_count,)."""
         basis = self.basis.camera
         trace = sum(precision.trace for precision in data.precisions)
-        precision = trace / self.sent.shape[1] * np.square(self.f)
+        precision = trace / self.pattern_light.shape[1] * np.square(self.f)
         weight = self.L.multiply(self.L).T @ precision
-        power = np.einsum("am,am->a", self.sent, self.sent)
+        power = np.einsum("aq,aq->a", self.pattern_light, self.pattern_light)
         forth = weight[basis.first] * power[basis.second]
         mirrored = weight[basis.second] * power[basis.first]
         diagonal = np.where(basis.first == basis.second, forth, forth + mirrored)
@@ -214,13 +231,14 @@ def core_operator(
     """Build the operator of the pictures of some camera rays; None for all."""
     rays = slice(None) if camera_rays is None else camera_rays
     L = light.basis.L if camera_rays is None else light.basis.L[camera_rays]
-    return CoreOperator(light.basis, L, light.f[rays], _sent(light.basis, light.g, pictures))
+    pattern_light = _pattern_light(light.basis, light.g, pictures)
+    return CoreOperator(light.basis, L, light.f[rays], pattern_light)
 
 
 def fit_cores(
     light: IndirectLight, data: FitData, deviations: Float, accuracy: Accuracy
 ) -> IndirectLight:
-    """Fit S, starting from the cores of `light`, with prior standard deviations (core_count,)."""
+    """Fit S, starting from that of `light`, with prior deviations sigma (part_count,)."""
     operator = core_operator(light, data.pictures, data.camera_rays)
 
     def project(images: Float) -> Float:
@@ -230,17 +248,17 @@ def fit_cores(
         return project(operator.forward(deviations * unknowns)) + unknowns
 
     start = np.zeros_like(deviations)
-    np.divide(light.cores, deviations, out=start, where=deviations > 0)
+    np.divide(light.core_parts, deviations, out=start, where=deviations > 0)
     diagonal = 1 + operator.normal_diagonal(data) * np.square(deviations)
     scaling = np.float32(1) / diagonal
     target = project(data.radiance)
     solution = conjugate_gradients(normal, target, scaling.__mul__, start, *accuracy)
     step()
-    return replace(light, cores=deviations * solution)
+    return replace(light, core_parts=deviations * solution)
 
 
 def fit_gains(light: IndirectLight, data: FitData) -> IndirectLight:
-    """Fit the gains of projector pixels, then of camera pixels, with S fixed.
+    """Fit the gains of projector rays, then of camera rays, with S fixed.
 
     Gains stay the same if the fit is restricted to some camera rays.
     """
@@ -250,28 +268,33 @@ def fit_gains(light: IndirectLight, data: FitData) -> IndirectLight:
 
 
 def _fit_projector_gains(light: IndirectLight, data: FitData) -> IndirectLight:
-    """Fit the gains a of projector pixels, with prior standard deviations s.
+    """Fit the gains gamma of projector rays, with prior standard deviations tau.
 
-    Minimises ``sum_i (c_i - y_i)^T K_i (c_i - y_i) + sum_j ((a_j - 1) / s_j)^2`` for
-    ``y = f L S R^T diag(a) g P``, by conjugate gradients in ``(a - 1) / s``.
+    They minimise
+
+        sum_i (c_i - z_i)^T Lambda_i (c_i - z_i) + sum_j ((gamma_j - 1) / tau_j)^2
+
+    for ``z = diag(f) L S R^T diag(gamma) diag(projector_factor) p``, by conjugate gradients in
+    ``(gamma - 1) / tau``.
     """
     basis, pictures = light.basis, data.pictures
     visible = basis.mapping.visibility > 1 / 2
     spread = np.where(visible, _VISIBLE_SPREAD, _HIDDEN_SPREAD).astype(np.float32)
-    S, f, g = basis.core_matrix(light.cores), light.f, light.projector_factor
+    S, f, factor = light.core_matrix(), light.f, light.projector_factor
 
     def forward(gain: Float) -> Float:
-        images: Float = (basis.L @ (S @ _sent(basis, gain * g, pictures))) * f[:, None]
+        J = _pattern_light(basis, gain * factor, pictures)
+        images: Float = (basis.L @ (S @ J)) * f[:, None]
         return images
 
     def project(images: Float) -> Float:
         received = basis.L.T @ (data.apply_precision(images) * f[:, None])
         on_views = _split(S.T @ received, pictures)
         change = [
-            np.einsum("jm,jm->j", view.patterns, R @ on_view)
+            np.einsum("jq,jq->j", view.patterns, R @ on_view)
             for R, on_view, view in zip(basis.R_by_view, on_views, pictures, strict=True)
         ]
-        gradient: Float = spread * g * np.concatenate(change)
+        gradient: Float = spread * factor * np.concatenate(change)
         return gradient
 
     def normal(change: Float) -> Float:
@@ -285,15 +308,16 @@ def _fit_projector_gains(light: IndirectLight, data: FitData) -> IndirectLight:
 
 
 def _fit_camera_gains(light: IndirectLight, data: FitData) -> IndirectLight:
-    """Fit the gain of each camera pixel, with a prior standard deviation s.
+    """Fit the gain of each camera ray, with a prior standard deviation of 0.1.
 
-    For the light y without the gain it is ``(y^T K c + 1 / s^2) / (y^T K y + 1 / s^2)``.
+    For the indirect light z without the gain, the gain is
+    ``(z^T Lambda c + 1 / 0.1^2) / (z^T Lambda z + 1 / 0.1^2)``.
     """
     images = np.concatenate(light.in_pictures(data.pictures), axis=1)
     images /= light.camera_gain[:, None]
     weighted, prior = data.apply_precision(images), np.float32(1 / _CAMERA_SPREAD**2)
-    normal = np.einsum("im,im->i", weighted, images) + prior
-    gain = (np.einsum("im,im->i", weighted, data.radiance) + prior) / normal
+    normal = np.einsum("iq,iq->i", weighted, images) + prior
+    gain = (np.einsum("iq,iq->i", weighted, data.radiance) + prior) / normal
     return replace(light, camera_gain=np.clip(gain, _LEAST_GAIN, _LARGEST_GAIN))
 
 
@@ -303,11 +327,13 @@ class Misfit(NamedTuple):
     Attributes
     ----------
     chi_square : ndarray of float32, shape (M,)
-        ``e^T K e`` of the differences e.
+        ``(c - z)^T Lambda (c - z)``.
     degrees_of_freedom : ndarray of int64, shape (M,)
-        Its mean if there are no differences except noise.
+        Approximate mean of chi_square if only noise is left: P - k, at least half of P; 0 for an
+        unknown pixel. It is about that where weights are much smaller than their prior deviations.
+        It would be P for weights distributed as their prior.
     allowed : ndarray of float32, shape (M,)
-        Its value for an allowed error.
+        Value of chi_square for an allowed error.
     """
 
     chi_square: Float
@@ -318,24 +344,25 @@ class Misfit(NamedTuple):
 def misfit(light: IndirectLight, data: FitData, allowed: float) -> Misfit:
     """Compare the pictures with the model; `allowed` is a fraction of the floodlit image."""
     operator = core_operator(light, data.pictures, data.camera_rays)
-    images = _split(operator.forward(light.cores), data.pictures)
+    images = _split(operator.forward(light.core_parts), data.pictures)
     views = []
     for view, precision, image in zip(data.pictures, data.precisions, images, strict=True):
         residual = view.radiance - image
         count = view.patterns.shape[1]
+        # the prior determines the weights of many candidates, which thus fit less noise
         fitted_weights = np.minimum(precision.candidate_counts, count // 2)
         freedom = np.where(view.known, count - fitted_weights, 0)
-        chi_square = np.einsum("im,im->i", residual, precision.apply(residual))
+        chi_square = np.einsum("iq,iq->i", residual, precision.apply(residual))
         views.append((chi_square, freedom, precision.trace * np.square(allowed * view.floodlit)))
     return Misfit(*(sum(terms[1:], terms[0]) for terms in zip(*views, strict=True)))
 
 
-def _sent(basis: IndirectBasis, g: Float, pictures: Sequence[ViewPictures]) -> Float:
-    """Compute ``R^T g P`` of the patterns of all views, (n, P)."""
+def _pattern_light(basis: IndirectBasis, g: Float, pictures: Sequence[ViewPictures]) -> Float:
+    """Compute ``J = R^T diag(g) p`` of the patterns of all views, (n, P)."""
     factors = g.reshape(len(pictures), -1, 1)
-    sides = zip(basis.R_by_view, pictures, factors, strict=True)
-    sent = [R.T @ (view.patterns * factor) for R, view, factor in sides]
-    return np.ascontiguousarray(np.concatenate(sent, axis=1), np.float32)
+    views = zip(basis.R_by_view, pictures, factors, strict=True)
+    light = [R.T @ (view.patterns * factor) for R, view, factor in views]
+    return np.ascontiguousarray(np.concatenate(light, axis=1), np.float32)
 
 
 def _split(images: Float, pictures: Sequence[ViewPictures]) -> list[Float]:

@@ -1,16 +1,7 @@
 """Compiled loops over camera pixels: weights of footprints, and matching.
 
-For camera pixel i with k candidates and P pictures:
-
-======  ======  ====================================================================================
-symbol  shape   meaning
-======  ======  ====================================================================================
-``A``   (P, k)  light of each candidate projector pixel in each pattern
-``c``   (P,)    radiance
-``W``   (P, P)  diagonal matrix of the inverse variances of c
-``G``   (k, k)  diagonal matrix of the prior variances of the weights
-``e``   (k,)    prior means of the weights
-======  ======  ====================================================================================
+The loops evaluate the equations of `rfpipe.methods.footprints.weights` and
+`rfpipe.methods.footprints.matching` for all camera pixels, and have their symbols.
 """
 
 from __future__ import annotations
@@ -30,10 +21,10 @@ _SLOPE_TOLERANCE = 1e-8
 
 
 class CandidateRows(NamedTuple):
-    """Candidates of all camera pixels, and the patterns.
+    """Candidates of all camera pixels, and the patterns p.
 
     Those of camera pixel i are ``projector_pixels[starts[i] : starts[i + 1]]``; their rows of
-    `patterns` are ``A^T``.
+    `patterns` are ``A^T``, (k, P).
     """
 
     starts: Index  # (M + 1,)
@@ -42,7 +33,7 @@ class CandidateRows(NamedTuple):
 
 
 class PixelPictures(NamedTuple):
-    """Pictures c of each camera pixel, and the diagonal of W."""
+    """Direct light d in the pictures of each camera pixel, and the diagonal of W."""
 
     radiance: Float  # (M, P)
     inverse_variance: Float  # (M, P)
@@ -56,7 +47,7 @@ class WeightPrior(NamedTuple):
 
 
 class BoxGrid(NamedTuple):
-    """Normalised responses of boxes at half-pixel positions of an image, one grid a box width."""
+    """Normalised responses of boxes at half-pixel positions of an image, one grid per box width."""
 
     responses: Float  # (widths x rows x columns, P), each of length 1
     rows: int
@@ -68,14 +59,14 @@ def _gram(pixels: Int32, patterns: Float, inverse_variance: Float) -> Double:
     """Compute ``A^T W A`` of a camera pixel, (k, k)."""
     count = len(pixels)
     gram, weighted = np.empty((count, count)), np.empty(patterns.shape[1])
-    for a in range(count):
-        for p in range(len(weighted)):
-            weighted[p] = inverse_variance[p] * patterns[pixels[a], p]
-        for b in range(a + 1):
-            total, second = 0.0, patterns[pixels[b]]
-            for p in range(len(weighted)):
-                total += weighted[p] * second[p]
-            gram[a, b] = gram[b, a] = total
+    for row in range(count):
+        for q in range(len(weighted)):
+            weighted[q] = inverse_variance[q] * patterns[pixels[row], q]
+        for column in range(row + 1):
+            total, second = 0.0, patterns[pixels[column]]
+            for q in range(len(weighted)):
+                total += weighted[q] * second[q]
+            gram[row, column] = gram[column, row] = total
     return gram
 
 
@@ -83,9 +74,9 @@ def _gram(pixels: Int32, patterns: Float, inverse_variance: Float) -> Double:
 def _projected(pixels: Int32, patterns: Float, values: Float) -> Double:
     """Compute ``A^T values`` of a camera pixel, (k,)."""
     result = np.zeros(len(pixels))
-    for a in range(len(pixels)):
-        for p in range(len(values)):
-            result[a] += patterns[pixels[a], p] * values[p]
+    for candidate in range(len(pixels)):
+        for q in range(len(values)):
+            result[candidate] += patterns[pixels[candidate], q] * values[q]
     return result
 
 
@@ -97,10 +88,10 @@ def solve_weights(
     start: Float,
     least_evidence: float,
 ) -> Float:
-    """Minimise ``(c - A x)^T W (c - A x) + (x - e)^T G^-1 (x - e)`` over x >= 0 for each pixel.
+    """Minimise ``(d - A x)^T W (d - A x) + (x - e)^T G^-1 (x - e)`` over x >= 0 for each pixel.
 
     The weights x are 0 where they explain less than `least_evidence` squared standard deviations of
-    c, ``c^T W c - (c - A x)^T W (c - A x)``. `start`, (K,), is the first estimate; a good one saves
+    d, ``d^T W d - (d - A x)^T W (d - A x)``. `start`, (K,), is the first estimate; a good one saves
     time. Returns the weights of all pixels, (K,).
     """
     weights = np.zeros(len(rows.projector_pixels), np.float32)
@@ -108,13 +99,14 @@ def solve_weights(
         first, last = rows.starts[i], rows.starts[i + 1]
         if first == last:
             continue
-        pixels, w = rows.projector_pixels[first:last], pictures.inverse_variance[i]
-        gram = _gram(pixels, rows.patterns, w)
-        projected = _projected(pixels, rows.patterns, w * pictures.radiance[i])
+        pixels, W = rows.projector_pixels[first:last], pictures.inverse_variance[i]
+        gram = _gram(pixels, rows.patterns, W)
+        projected = _projected(pixels, rows.patterns, W * pictures.radiance[i])
         matrix, target = gram.copy(), projected.copy()
-        for a in range(last - first):
-            matrix[a, a] += prior.inverse_variance[first + a]
-            target[a] += prior.inverse_variance[first + a] * prior.mean[first + a]
+        for index in range(last - first):
+            precision = prior.inverse_variance[first + index]
+            matrix[index, index] += precision
+            target[index] += precision * prior.mean[first + index]
         x = _non_negative(matrix, target, start[first:last].astype(np.float64))
         if x @ (2 * projected - gram @ x) >= least_evidence:
             weights[first:last] = x
@@ -149,9 +141,11 @@ def _minimise_free(matrix: Double, target: Double, x: Double, free: Bools) -> No
         before = x[index]
         after = np.linalg.solve(matrix[index][:, index], target[index])
         fraction = np.ones(len(index))
-        for k in range(len(index)):
-            if after[k] <= 0:
-                fraction[k] = before[k] / (before[k] - after[k]) if before[k] > 0 else 0.0
+        for element in range(len(index)):
+            if after[element] <= 0:
+                is_above = before[element] > 0
+                change = before[element] - after[element]
+                fraction[element] = before[element] / change if is_above else 0.0
         step = fraction.min()
         x[index] = before + step * (after - before)
         if step == 1.0:
@@ -166,12 +160,12 @@ def marginal_factors(
 ) -> tuple[Double, Float]:
     """Factor each camera pixel's precision when the weights of its candidates are unknown.
 
-    With weights of mean 0 and variance G the covariance of the pictures is ``W^-1 + A G A^T``, and
-    its inverse
+    With weights of mean 0 and variance G the covariance of the pictures is ``W^-1 + A G A^T``. Its
+    inverse, the precision, is
 
-        W - W A H A^T W = W - U^T U,    H = (G^-1 + A^T W A)^-1,    U = C^-1 A^T W
+        Lambda = W - U^T U,    U = Y^-1 A^T W,    Y Y^T = G^-1 + A^T W A
 
-    where C is the Cholesky factor, ``C C^T = H^-1``.
+    with the Cholesky factor Y.
 
     Parameters
     ----------
@@ -193,40 +187,40 @@ def marginal_factors(
     for i in range(len(trace)):
         first, last = rows.starts[i], rows.starts[i + 1]
         total = 0.0
-        for p in range(inverse_variance.shape[1]):
-            total += inverse_variance[i, p]
+        for q in range(inverse_variance.shape[1]):
+            total += inverse_variance[i, q]
         if first < last:
             pixels, U = rows.projector_pixels[first:last], factors[first:last]
             inner = _gram(pixels, rows.patterns, inverse_variance[i])
-            for a in range(len(U)):
-                inner[a, a] += 1 / variance[first + a]
-                U[a] = rows.patterns[pixels[a]].astype(np.float64) * inverse_variance[i]
+            for row in range(len(U)):
+                inner[row, row] += 1 / variance[first + row]
+                U[row] = rows.patterns[pixels[row]].astype(np.float64) * inverse_variance[i]
             _substitute(np.linalg.cholesky(inner), U)
-            for u in U.ravel():
-                total -= u * u
+            for value in U.ravel():
+                total -= value * value
         trace[i] = max(total, 0.0)
     return factors, trace
 
 
 @njit(cache=True, nogil=True)
-def _substitute(lower: NDArray[np.floating], U: Double) -> None:
-    """Overwrite U, (k, P), with ``lower^-1 U``."""
-    for a in range(len(U)):
-        for b in range(a):
-            for p in range(U.shape[1]):
-                U[a, p] -= lower[a, b] * U[b, p]
-        for p in range(U.shape[1]):
-            U[a, p] /= lower[a, a]
+def _substitute(Y: NDArray[np.floating], U: Double) -> None:
+    """Overwrite U, (k, P), with ``Y^-1 U``; Y, (k, k), is lower triangular."""
+    for row in range(len(U)):
+        for column in range(row):
+            for q in range(U.shape[1]):
+                U[row, q] -= Y[row, column] * U[column, q]
+        for q in range(U.shape[1]):
+            U[row, q] /= Y[row, row]
 
 
 @njit(cache=True, nogil=True, fastmath=True)
 def apply_precision(
     starts: Index, factors: Double, inverse_variance: Float, pictures: Float
 ) -> Float:
-    """Compute ``(W - U^T U) c`` of each camera pixel, float32 (M, P).
+    """Multiply each camera pixel's pictures by its precision ``W - U^T U``, float32 (M, P).
 
-    `factors` are U as in `marginal_factors`, (K, P), `inverse_variance` the diagonals of W, (M, P),
-    `pictures` c, (M, P).
+    `factors` are U as in `marginal_factors`, (K, P), `inverse_variance` the diagonals of W, (M, P);
+    `pictures` are (M, P).
     """
     result = np.empty_like(pictures)
     count = pictures.shape[1]
@@ -235,12 +229,12 @@ def apply_precision(
         explained[:] = 0
         for candidate in range(starts[i], starts[i + 1]):
             total = 0.0
-            for p in range(count):
-                total += factors[candidate, p] * pictures[i, p]
-            for p in range(count):
-                explained[p] += total * factors[candidate, p]
-        for p in range(count):
-            result[i, p] = np.float64(inverse_variance[i, p]) * pictures[i, p] - explained[p]
+            for q in range(count):
+                total += factors[candidate, q] * pictures[i, q]
+            for q in range(count):
+                explained[q] += total * factors[candidate, q]
+        for q in range(count):
+            result[i, q] = np.float64(inverse_variance[i, q]) * pictures[i, q] - explained[q]
     return result
 
 
@@ -297,7 +291,7 @@ def _best_near(
 def _positions(place: float, reach: float, count: int) -> tuple[int, int]:
     """Compute the half-open range of positions within reach of a place along an axis.
 
-    Position b is at ``(b + 1) / 2`` pixels.
+    The position of an index is ``(index + 1) / 2`` pixels.
     """
     first = max(0, int(np.ceil(2 * (place - reach) - 1)))
     return first, min(count, int(np.floor(2 * (place + reach) - 1)) + 1)
@@ -309,8 +303,8 @@ def _best_of(series: Float, responses: Float, first: int, end: int) -> tuple[int
     best, score = first, np.float32(0)
     for box in range(first, end):
         product = np.float32(0)
-        for p in range(len(series)):
-            product += series[p] * responses[box, p]
+        for q in range(len(series)):
+            product += series[q] * responses[box, q]
         if product > score:
             best, score = box, product
     return best, score

@@ -1,28 +1,39 @@
 """Whitened matched filter: the place of the projector whose patterns a camera pixel resembles most.
 
-A camera pixel that sees a box b of the projector's image receives, relative to its floodlit
-radiance, the series ``y = a t_b + indirect light + noise`` over P patterns. Nothing is known of the
-scene yet, so indirect light is taken as normal, and correlated over pictures as the patterns are:
+A camera pixel that sees a box of the projector's image has, relative to its floodlit radiance, the
+series over P patterns
 
-    C = (0.1^2 + v) I + 5^2 1 1^T + 0.5^2 E^T E / cells + 0.14^2 m m^T
+    y = (part of the light that is direct) t + indirect light + noise
+
+where t is the light of the box. Nothing is known of the scene yet, so indirect light is taken as
+normal, and correlated over pictures as the patterns are. The covariance of y without the box is
+
+    Q Q^T = (0.1^2 + noise) I + 5^2 1 1^T + 0.5^2 E^T E / coarse_cells + 0.14^2 u u^T
 
 for errors of the model and noise, light that is the same in all pictures, light from far away, and
-light in proportion to the mean of a pattern. With ``C = Q Q^T`` both sides are whitened by
-``Q^-1``, so that indirect light makes no match:
+light in proportion to the mean of a pattern. Both sides are whitened by ``Q^-1``, so that indirect
+light makes no match:
 
-    r_b = (Q^-1 y) . (Q^-1 t_b) / (|Q^-1 y| |Q^-1 t_b|)
+    correlation = (Q^-1 y) . (Q^-1 t) / (|Q^-1 y| |Q^-1 t|)
 
-======  =========================  ==========  =====================================================
-symbol  name in the code           shape       meaning
-======  =========================  ==========  =====================================================
-``y``   `series`                   (m, P)      radiance of m camera pixels over the floodlit image
-``t``   `BoxTemplates.response`    (boxes, P)  mean of each pattern over each box, 0 to 1
-``E``   `cell_light`               (cells, P)  mean of each pattern over coarse cells, minus 1/2
-``m``   `mean_light`               (P,)        mean of each pattern, minus 1/2
-``v``   `noise`                    ()          variance of a picture, relative to F^2
-``Q``   `MatchedFilter.whitening`  (P, P)      ``Q^-T``, applied from the right
-``r``   `Matches.correlation`      (m,)        of the best box, -1 to 1
-======  =========================  ==========  =====================================================
+===============  =========================  =================  =====================================
+symbol           name in the code           shape              meaning
+===============  =========================  =================  =====================================
+``y``            `series`                   (m, P)             radiance of m camera pixels over
+                                                               their floodlit radiance
+``t``            `BoxTemplates.response`    (boxes, P)         mean of each pattern over each box,
+                                                               0 to 1
+``E``            `coarse_light`             (coarse_cells, P)  mean of each pattern over coarse
+                                                               cells, minus 1/2
+``u``            `mean_light`               (P,)               mean of each pattern, minus 1/2
+``noise``        `relative_noise`           ()                 variance of a picture, over the
+                                                               squared floodlit radiance
+``Q``            `MatchedFilter.whitening`  (P, P)             Cholesky factor; the code has
+                                                               ``Q^-T``, applied from the right
+``correlation``  `Matches.correlation`      (m,)               that of the best box, -1 to 1
+===============  =========================  =================  =====================================
+
+Coarse cells are squares of the projector's image, 6 along its short side.
 """
 
 from __future__ import annotations
@@ -40,7 +51,7 @@ from rfpipe.methods.footprints.pictures import ViewPictures
 
 # Largest number of pairs of a series and a box to compare: half a minute for 25 pictures.
 _MOST_PAIRS = 2**31
-# Products of series and boxes computed at a time.
+# Products of series and boxes computed in one batch.
 _BATCH_PRODUCTS = 2**24
 # Pixels of the coarse grid that are compared with all boxes, in each camera view.
 _GRID_PIXELS = 2048
@@ -82,19 +93,19 @@ class Matches(NamedTuple):
     correlation: Float
 
 
-def box_templates(projector: RayDomain, patterns: Float, density: float) -> BoxTemplates:
+def box_templates(projector: RayDomain, patterns: Float, pixels_across: float) -> BoxTemplates:
     """Average patterns (N, P) over boxes.
 
-    A camera pixel spans about `density` projector pixels along each axis. Boxes are 1.6 times as
-    wide, since it lies anywhere among these, and twice that, for stretched footprints.
+    A camera pixel spans about `pixels_across` projector pixels along each axis. Boxes are 1.6 times
+    as wide, since it lies anywhere among these, and twice that, for stretched footprints.
     """
     height, width = projector.image_shape
     image = patterns.reshape(height, width, -1)
     responses, centres, widths = [], [], []
-    for side in sorted({1.6 * max(1.0, density) * factor for factor in (1.0, 2.0)}):
+    for side in sorted({1.6 * max(1.0, pixels_across) * factor for factor in (1.0, 2.0)}):
         down, across = _box_averages(height, side), _box_averages(width, side)
-        rows = np.einsum("ay,yxm->axm", down, image, optimize=True)
-        response = np.einsum("bx,axm->abm", across, rows, optimize=True)
+        rows = np.einsum("ry,yxq->rxq", down, image, optimize=True)
+        response = np.einsum("sx,rxq->rsq", across, rows, optimize=True)
         responses.append(response.reshape(-1, patterns.shape[1]))
         centres.append((np.indices(response.shape[:2]).reshape(2, -1).T + 1) / 2)
         widths.append(np.full(len(responses[-1]), side))
@@ -116,7 +127,7 @@ def _box_averages(length: int, side: float) -> Double:
 
 
 def coarse_light(projector: RayDomain, patterns: Float) -> Double:
-    """Average patterns (N, P) over coarse cells, 6 along the short side, minus 1/2, (cells, P)."""
+    """Average patterns (N, P) over coarse cells, minus 1/2: E, (coarse_cells, P)."""
     image = projector.image_shape
     cell = RayDomain(image).squares(max(1, round(min(image) / _COARSE_CELLS)))[1]
     size = np.bincount(cell)
@@ -175,7 +186,7 @@ class MatchedFilter:
     ) -> Double:
         """Compute four places for each camera pixel in the mask, (m, 4, 2), NaN for none.
 
-        Grid points are `step` camera pixels apart; `scale` is the number of projector pixels a
+        Grid points are `step` camera pixels apart; `scale` is the number of projector pixels per
         camera pixel along each axis.
         """
         views, height, width = camera.stack_shape
@@ -203,12 +214,12 @@ class MatchedFilter:
 
 def matched_filter(templates: BoxTemplates, pictures: ViewPictures) -> MatchedFilter:
     """Compute the filter for the patterns and the noise of pictures, by the module's equation."""
-    patterns, noise = pictures.patterns, pictures.relative_noise()
+    patterns, relative_noise = pictures.patterns, pictures.relative_noise()
     count = patterns.shape[1]
-    cell_light = coarse_light(templates.projector, patterns)
+    E = coarse_light(templates.projector, patterns)
     mean_light = patterns.mean(axis=0, dtype=np.float64) - 0.5
-    covariance = (0.1**2 + noise) * np.eye(count) + 5.0**2
-    from_far = 0.5**2 * (cell_light.T @ cell_light) / len(cell_light)
+    covariance = (0.1**2 + relative_noise) * np.eye(count) + 5.0**2
+    from_far = 0.5**2 * (E.T @ E) / len(E)
     covariance += from_far + 0.14**2 * np.outer(mean_light, mean_light)
     inverse = np.linalg.inv(np.linalg.cholesky(covariance))
     return MatchedFilter(templates, np.ascontiguousarray(inverse.T, np.float32))

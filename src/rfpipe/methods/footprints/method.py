@@ -54,8 +54,8 @@ Fewer than 24 patterns do not distinguish the footprints of small scenes.
 _VIEW_ROUNDS = (24, 12, 16, 24, 32, 40, 50, 60)
 
 WRONG_MODEL = 0.07
-"""First estimated error from which on dual photography takes over. The first round leaves 3 to 5 %
-on diffuse scenes, 8 to 11 % on caustics."""
+"""Estimated error of the first round above which dual photography follows. The first round leaves
+3 to 5 % on diffuse scenes, 8 to 11 % on caustics."""
 
 # Mean errors are 2 to 6 tolerances of dual photography; its residual model halves them.
 HIERARCHY = HierarchyCost(patterns=45.0, power=0.75, tolerance=0.2)
@@ -70,15 +70,17 @@ def patterns_in_round(number: int, views: int) -> int:
 
 
 def suits_random_patterns(projector: RayDomain, limit: int) -> bool:
-    """Return True if random patterns need fewer pictures than dual photography from the start.
+    """Test whether random patterns are worth a start; otherwise dual photography is.
+
+    The projector must have at least 96 rays per view, four times as many as the first round has
+    patterns. With several views, `limit` must leave a floodlit pattern and more than four random
+    ones for each view, besides the floodlit and the held-out pictures.
 
     Parameters
     ----------
     projector : RayDomain
-        With at least four times as many rays as the patterns of the first round.
     limit : int
-        Largest number of patterns, 0 for none. Several views need a floodlit pattern and more than
-        four other patterns on each view.
+        Largest number of patterns of the acquisition, 0 for no limit.
     """
     views = projector.views
     if views > 1 and limit and limit <= 1 + len(HELD_OUT) + 5 * views:
@@ -143,14 +145,17 @@ class FootprintModel:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Numbers of cores, as ``nodes``, and of weights of footprints, as ``scalar``."""
+        """Columns of the round's row in the table of levels, see `Transport.level_rows`.
+
+        ``nodes`` is the number of cores (entries of S), ``scalar`` the number of entries of D.
+        """
         if self.arrays is None:
             return {}
         nodes, scalar = self.arrays["cores_columns"], self.arrays["footprints_columns"]
         return {"nodes": len(nodes), "scalar": len(scalar)}
 
     def next_patterns(self, key: int, count: int) -> Bools:
-        """Draw random patterns of three kinds of detail."""
+        """Draw random patterns of three kinds of detail, see `view_patterns`."""
         return view_patterns(self.projector.shape, key, count)
 
     def fit(self, pictures: Pictures) -> Self:
@@ -173,7 +178,7 @@ class FootprintModel:
         return pixels_without_direct_light(self.fitted_transport().direct(), lit)
 
     def projector_cells(self, camera: CameraCells, base: Transport) -> ProjectorCells:
-        """Compute where the projector's cells lie in the camera's image, by direct light."""
+        """Find the places that the projector's residual cells light in the camera's image."""
         return projector_cells(self.fitted_transport().direct(), base, camera)
 
     def fitted_transport(self) -> FootprintTransport:
@@ -243,7 +248,7 @@ class Footprints(AdaptiveMethod):
     """Footprint acquisition, for any rig.
 
     It ends at ``target_error``, by the estimate from held-out pictures, and returns the transport
-    that predicts these best.
+    that predicts these best. `Method` and `AdaptiveMethod` describe the class attributes.
     """
 
     name = "footprints"

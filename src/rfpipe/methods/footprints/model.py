@@ -1,20 +1,25 @@
 """The footprint model of all channels.
 
+Each of the C channels has its own arrays, except L and R:
+
     T = D + diag(f) L S R^T diag(g)
 
-======  =========================  ======  =========================================================
-symbol  name in the code           shape   meaning and unit
-======  =========================  ======  =========================================================
-``T``   `FootprintTransport`       (M, N)  light transport of a channel, radiance
-``D``   `ChannelModel.footprints`  (M, N)  direct light, sparse, radiance
-``L``   `IndirectBasis.L`          (M, n)  functions over camera rays, no unit
-``R``   `IndirectBasis.R`          (N, n)  functions over projector rays, no unit
-``S``   `IndirectLight.cores`      (n, n)  light between functions, inverse radiance
-``f``   `IndirectLight.f`          (M,)    indirect light received, radiance
-``g``   `IndirectLight.g`          (N,)    indirect light sent, radiance
-======  =========================  ======  =========================================================
+======  ==================================  ======  ================================================
+symbol  name in the code                    shape   meaning and unit
+======  ==================================  ======  ================================================
+``T``   `FootprintTransport`                (M, N)  light transport, radiance
+``D``   `ChannelModel.footprints.matrix()`  (M, N)  direct light, sparse, radiance
+``L``   `IndirectBasis.L`                   (M, n)  functions over camera rays, sparse, no unit
+``R``   `IndirectBasis.R`                   (N, n)  functions over projector rays, sparse, no unit
+``S``   `IndirectLight.core_matrix()`       (n, n)  cores: light between functions, sparse, inverse
+                                                    radiance
+``f``   `IndirectLight.f`                   (M,)    scale factor of each camera ray, radiance
+``g``   `IndirectLight.g`                   (N,)    scale factor of each projector ray, radiance
+======  ==================================  ======  ================================================
 
-M, N and n are the numbers of camera rays, of projector rays and of functions.
+`rfpipe.methods.footprints.functions` defines L, R, f and g. The fit has its own unit of radiance;
+`transport_arrays` converts D and f to the unit of the pictures. S and g keep the fit's, since S is
+inverse to g.
 """
 
 from __future__ import annotations
@@ -59,7 +64,7 @@ def transport_arrays(fitted: FittedChannels, unit: float) -> dict[str, NDArray[A
     lights = [channel.indirect for channel in fitted.channels]
     basis = lights[0].basis
     direct = [channel.footprints.matrix() for channel in fitted.channels]
-    cores = [basis.core_matrix(light.cores) for light in lights]
+    cores = [light.core_matrix() for light in lights]
     return {
         **sparse_arrays("footprints", direct[0], [D.data * np.float32(unit) for D in direct]),
         **sparse_arrays("left", basis.L),

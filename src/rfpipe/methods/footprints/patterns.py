@@ -11,22 +11,23 @@ from rfpipe.relighting import octave_noise
 
 SEED = 2026
 
-# Powers of the frequency with which amplitudes fall, in turn: white noise distinguishes footprints,
-# smooth noise determines far-range light.
+# Powers of the frequency with which amplitudes fall, in turn. Noise of power 0 (white noise)
+# distinguishes footprints, smooth noise determines far-range light.
 _FALLOFFS = (2.0, 0.0, 1.0)
 
 
 def view_patterns(shape: tuple[int, ...], key: int, count: int) -> Bools:
-    """Draw noise of three kinds of detail in turn that lights half of a view.
+    """Draw binary noise of three kinds of detail in turn; each pattern lights half of one view.
 
     Parameters
     ----------
     shape : tuple of int
-        The projector's ray domain. Several views are lit one at a time, in turn; in round 1 first
-        each as a whole.
+        The projector's ray domain. Several views are lit in turn. Then round 1 begins with one
+        floodlit pattern per view.
     key : int
-        Number of the round: each has other patterns. A pattern depends on `key` and its index.
+        Number of the round, from 1. A pattern depends on `key` and on its index in the round.
     count : int
+        Number of patterns, floodlit ones included.
 
     Returns
     -------
@@ -35,9 +36,9 @@ def view_patterns(shape: tuple[int, ...], key: int, count: int) -> Bools:
     domain = RayDomain(shape)
     views = domain.views
     patterns = np.zeros((count, *domain.stack_shape), np.bool_)
-    white = views if views > 1 and key == 1 else 0
+    floodlit_count = views if views > 1 and key == 1 else 0
     for index in range(count):
-        if index < white:
+        if index < floodlit_count:
             patterns[index, index % views] = True
             continue
         falloff = _FALLOFFS[index // views % len(_FALLOFFS)]

@@ -1,7 +1,7 @@
 """Pictures of the patterns on one projector view, pixel by pixel.
 
-Footprints are recognised by the radiance of a camera pixel over all patterns. In these arrays it is
-a row; elsewhere in the package a picture is a row.
+Footprints are recognised by the radiance of a camera pixel over all patterns. In these arrays each
+row is a camera pixel and each column a picture; in `rfpipe.methods.images` each row is a picture.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ _MODEL_ERROR, _LEAST_ERROR = 0.002, 1e-5
 
 @dataclass(frozen=True)
 class ViewPictures:
-    """Pictures of one channel, or of the sum of channels; the first is floodlit.
+    """Pictures of one channel, or of the sum of channels; the first is the floodlit one.
 
     M is the number of camera pixels, N the number of projector pixels of the view, P the number of
-    pictures.
+    pictures of patterns on the view.
 
     Attributes
     ----------
     patterns : ndarray of float32, shape (N, P)
-        Light of each projector pixel in each pattern, 0 to 1.
+        p: weight of each projector pixel in each pattern, 0 to 1.
     radiance : ndarray of float32, shape (M, P)
-        0 where a pixel is unknown.
+        c, 0 where a pixel is unknown.
     variance : ndarray of float32, shape (M, P)
         Infinite where a pixel is unknown.
     """
@@ -107,7 +107,7 @@ def radiance_unit(pictures: Pictures) -> float:
 def split_pictures(pictures: Pictures, unit: float, views: int) -> tuple[ViewPictures, ...]:
     """Split the pictures of one channel by projector view, in units of radiance.
 
-    With several views each pattern lights one of them, at first all of its pixels.
+    With several views each pattern lights one of them; the first one on each view is floodlit.
     """
     known = np.isfinite(pictures.variance[:, 0]).all(axis=0)
     if views > 1:
@@ -116,7 +116,7 @@ def split_pictures(pictures: Pictures, unit: float, views: int) -> tuple[ViewPic
     for view, patterns in enumerate(np.split(pictures.lit, views, axis=1)):
         on_view = patterns.any(axis=1)
         radiance, variance = pictures.radiance[on_view, 0], pictures.variance[on_view, 0]
-        assert patterns[on_view][0].all(), f"the first pattern on view {view} is not all on"
+        assert patterns[on_view][0].all(), f"the first pattern on view {view} is not floodlit"
         parts.append(
             ViewPictures(
                 np.ascontiguousarray(patterns[on_view].T, np.float32),
@@ -128,5 +128,5 @@ def split_pictures(pictures: Pictures, unit: float, views: int) -> tuple[ViewPic
 
 
 def floodlit_by_all(pictures: tuple[ViewPictures, ...]) -> Float:
-    """Compute the image when all projector views are on, at least 0, (M,)."""
+    """Add up the floodlit images of all projector views: F, at least 0, (M,)."""
     return sum((view.floodlit for view in pictures[1:]), pictures[0].floodlit)

@@ -1,8 +1,10 @@
-"""Footprints of rigs whose cameras share the rays of the projectors: ``D = D^T``.
+"""Footprints of light fields of coaxial pairs of cameras and projectors, where ``D = D^T``.
 
-By reciprocity (thesis, eq. 2.10) camera pixel i receives from projector pixel j as much as j would
-from i, so that both entries of D are estimates of one weight. A light field of coaxial pairs of
-cameras and projectors is such a rig.
+Each camera shares the rays of a projector, so that M = N. By reciprocity (thesis, eq. 2.10) camera
+ray i receives from projector ray j as much as j would from i: both entries of D are estimates of
+one weight. In a light field this matters, since each ray has footprints in every view. A rig with
+one view isn't fitted by these functions, even if it is coaxial: near/far acquisition suits it, and
+its direct light is a diagonal.
 """
 
 from __future__ import annotations
@@ -30,7 +32,7 @@ _DIFFERENCE = (0.1, 0.003)
 
 
 def is_symmetric(footprints: Candidates) -> bool:
-    """Return True if D and its transpose differ by less than half of the norm of D."""
+    """Return True if D, (N, N), and its transpose differ by less than half of the norm of D."""
     completed, transposed = _with_transposed_weights(footprints)
     difference = np.linalg.norm(completed.weights - transposed)
     return bool(difference < _LARGEST_DIFFERENCE * np.linalg.norm(completed.weights))
@@ -55,7 +57,7 @@ def fit_reciprocal_weights(
     Parameters
     ----------
     footprints : Candidates
-        On all views of the projector.
+        On all views of the projector; M = N.
     pictures : sequence of ViewPictures
         One for each view.
     indirect : sequence of ndarray of float32, shape (M, P)
@@ -73,13 +75,13 @@ def fit_reciprocal_weights(
 def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]:
     """Add the transposed candidates that have light, and return the transposed weights, too.
 
-    The variance is the larger one of both ways.
+    The variance is the larger one of an entry and its transposed one. M = N.
     """
     size = footprints.projector_size
     keys = footprints.keys
     # order of the entries by columns, which is the order of the transposed keys
     order = footprints.matrix(np.arange(len(keys), dtype=np.int32)).tocsc().data
-    mirrored = (keys % size * size + keys // size)[order]
+    mirrored = (keys % size * size + keys // size)[order]  # i N + j becomes j N + i
     weights, variances = footprints.weights[order], footprints.variance[order]
     union = unique_keys(np.concatenate([keys, mirrored[weights > 0]]))
     index, mirrored_index = np.searchsorted(union, keys), np.searchsorted(union, mirrored)

@@ -2,21 +2,28 @@
 
 For camera pixel i with k candidates and P pictures, the weights x minimise
 
-    (c - A x)^T W (c - A x) + (x - e)^T G^-1 (x - e),    x >= 0
+    (d - A x)^T W (d - A x) + (x - e)^T G^-1 (x - e),    x >= 0
 
-Where the fit of indirect light needs the pictures but not the weights, these are marginalised: the
-covariance of c becomes ``W^-1 + A G A^T``, and its inverse is the pixel's *precision*.
+where d is the direct light in the pictures: row i of ``c - z``, with the estimated indirect light z
+(`rfpipe.methods.footprints.indirect`). The fit of indirect light needs the pictures but not the
+weights, which are marginalised: the covariance of d becomes ``W^-1 + A G A^T``, and its inverse is
+the pixel's *precision* Lambda.
 
-======  =====================  ======  =============================================================
-symbol  name in the code       shape   meaning and unit
-======  =====================  ======  =============================================================
-``A``   rows of `patterns`     (P, k)  light of each candidate in each pattern, 0 to 1
-``x``   `Candidates.weights`   (k,)    weights, radiance: row i of D
-``c``   `radiance`             (P,)    pictures minus indirect light, radiance
-``W``   `inverse_variance`     (P,)    its diagonal: 1 / variance of c
-``e``   `mean`                 (k,)    prior mean of the weights, radiance
-``G``   `Candidates.variance`  (k,)    its diagonal: prior variance, radiance squared
-======  =====================  ======  =============================================================
+==========  ============  =====================  =======  ==========================================
+symbol      of one pixel  name in the code       shape    meaning and unit
+==========  ============  =====================  =======  ==========================================
+``A``       (P, k)        rows of `patterns`     (N, P)   light of each candidate in each pattern,
+                                                          0 to 1
+``x``       (k,)          `Candidates.weights`   (K,)     row i of D at its candidates, radiance
+``d``       (P,)          `radiance`             (M, P)   pictures minus indirect light, radiance
+``W``       (P, P)        `inverse_variance`     (M, P)   diagonal matrix: 1 / variance of d
+``e``       (k,)          `mean`                 (K,)     prior mean of the weights, radiance
+``G``       (k, k)        `Candidates.variance`  (K,)     diagonal matrix: prior variance, radiance
+                                                          squared
+``Lambda``  (P, P)        `MarginalPrecision`             precision, by its factors
+==========  ============  =====================  =======  ==========================================
+
+The arrays of the code have all camera pixels, and only the diagonals of W and G.
 """
 
 from __future__ import annotations
@@ -90,7 +97,7 @@ def non_negative_weights(
     floodlit : ndarray of float32, shape (M,)
     patterns : ndarray of float32, shape (N, P)
     radiance, inverse_variance : ndarray of float32, shape (M, P)
-        c and the diagonals of W.
+        d and the diagonals of W.
     mean : ndarray of float32, shape (K,), optional
         e; 0 by default.
     """
@@ -120,7 +127,7 @@ def non_negative_weights(
 
 @dataclass(frozen=True)
 class MarginalPrecision:
-    """Inverse covariance of each camera pixel's pictures when its weights are unknown.
+    """Inverse covariance Lambda of each camera pixel's pictures when its weights are unknown.
 
     It is ``W - U^T U`` with the factors U of `kernels.marginal_factors`.
 
