@@ -1,4 +1,4 @@
-"""The driver of GenICam cameras, on Aravis' fake cameras: in the process, and by GigE Vision."""
+"""The driver of GenICam cameras, with Aravis' fake cameras in process and by GigE Vision."""
 
 import ctypes
 from dataclasses import replace

@@ -1,6 +1,6 @@
-"""The optical bench in software: pictures through both drivers equal the simulation.
+"""The simulated optical bench: pictures by both drivers equal the simulation.
 
-And the rig's contract on it, as on any rig of hardware.
+The contract of rigs also runs on it, as on any hardware.
 """
 
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Sequences through the bench and the real camera driver: its emulated camera, triggered."""
+"""Hardware sequences on the bench with a triggered, emulated camera."""
 
 import time
 

@@ -1,6 +1,6 @@
-"""Rigs that are wrong in usual ways, on the bench in software: the right verdict, with its cause.
+"""Verdicts and causes for common faults of rigs, on the simulated bench.
 
-And always a report, whatever a step made of it.
+Each calibration also writes a report.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""The public suites of projectors, cameras and rigs on simulated devices, and on broken ones."""
+"""The contracts of projectors, cameras and rigs on simulated devices, and on faulty ones."""
 
 from typing import Any
 

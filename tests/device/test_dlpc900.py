@@ -90,7 +90,7 @@ def test_invalid_pictures_and_device_errors_are_explained() -> None:
 
 
 class TriggeredCamera(SimulatedCamera):
-    """Looks at an emulated projector; a frame at each trigger, one a projector pixel."""
+    """A camera of an emulated projector, with one frame per trigger and one pixel per mirror."""
 
     can_be_triggered = True
 

@@ -1,4 +1,4 @@
-"""The driver of photo cameras, on libgphoto2's virtual camera and raw files made here."""
+"""The driver of photo cameras, with libgphoto2's virtual camera and generated raw files."""
 
 import logging
 from dataclasses import replace
@@ -24,14 +24,14 @@ QUICK: dict[str, Any] = {"timeout_seconds": 1.0, "keep_pictures": True}
 
 
 def put(folder: Path, counts: np.ndarray = COUNTS, seconds: float = 0.0, **levels: Any) -> None:
-    """Lay a raw file before the virtual camera."""
+    """Make a raw file the next picture of the virtual camera."""
     known = {"bayer": "GRBG", "black": BLACK, "white": WHITE, **levels}
     (folder / "raw.jpg").write_bytes(dng_bytes(counts, seconds, **known))
 
 
 @pytest.fixture(autouse=True)
 def _raw_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Have libgphoto2 see its virtual camera alone, which takes the first picture in a folder."""
+    """Configure libgphoto2's virtual camera, which takes the first picture in a folder."""
     ports = Path(gphoto_library.load_gphoto2().__file__).parent / "libgphoto2" / "vusb"
     monkeypatch.setenv("IOLIBS", str(ports))
     monkeypatch.setenv("VCAMERADIR", str(tmp_path))

@@ -1,4 +1,4 @@
-"""The delay from display to camera: measured, and noticed where settings are too short for it."""
+"""Measurement of the delay from display to camera, and detection of too short settings."""
 
 from contextlib import closing, nullcontext
 

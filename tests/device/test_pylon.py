@@ -1,4 +1,4 @@
-"""The driver of Basler cameras, on pylon's emulated one."""
+"""The driver of Basler cameras, with pylon's emulated camera."""
 
 import logging
 from collections.abc import Iterator
@@ -22,7 +22,7 @@ QUICK = {"timeout_seconds": 1.5}
 
 
 def pictures(folder: Path, counts: np.ndarray) -> dict[str, str]:
-    """Put 16-bit counts before the emulated camera."""
+    """Set the 16-bit counts of the emulated camera's pictures."""
     import cv2
 
     for name in ("a.png", "b.png"):
@@ -37,7 +37,7 @@ def camera() -> Iterator[PylonCamera]:
 
 
 def fail(camera: PylonCamera, frames: int) -> None:
-    """Have the next frames come damaged."""
+    """Make the next frames arrive damaged."""
     camera._handle.ForceFailedBufferCount.Value = frames
     camera._handle.ForceFailedBuffer.Execute()
 

@@ -1,4 +1,4 @@
-"""The public contract suite on rigs without devices, and on rigs that violate it."""
+"""The contract of rigs on simulated rigs, and on rigs that violate it."""
 
 from dataclasses import replace
 from itertools import count
@@ -34,7 +34,7 @@ class TestRigOfOneRay(RigContract):
 
 
 class Broken(OperatorRig):
-    """A rig with one thing wrong with it."""
+    """A rig with one fault."""
 
     def __init__(self, fault: str) -> None:
         light = 3 if fault == "three times the light" else 1

@@ -32,7 +32,7 @@ def webcam(folder: Path, sensor: CameraModel = SENSOR, **options: Any) -> Webcam
 
 
 class VirtualUvc:
-    """A V4L2 camera in software, with controls and a delay.
+    """A simulated V4L2 camera with controls and a delay.
 
     `late` frames that are on their way when the picture changes still show the old one, as a
     driver's buffers do. Exposure times are multiples of `step` ticks.
@@ -46,16 +46,16 @@ class VirtualUvc:
         self._controls: dict[int, float] = {}
 
     def put(self, frame: np.ndarray) -> None:
-        """Lay the next frame before the camera."""
+        """Set the next frame of the camera."""
         self._frames.extend([self._last] * self._late + [frame])
         self._last = frame
 
     def isOpened(self) -> bool:  # noqa: N802
-        """Tell whether there is a camera."""
+        """Return True if the camera is connected."""
         return True
 
     def grab(self) -> bool:
-        """Take a frame, and leave it."""
+        """Take a frame without decoding it."""
         return self.read()[0]
 
     def read(self) -> tuple[bool, np.ndarray | None]:
@@ -63,7 +63,7 @@ class VirtualUvc:
         return (True, self._frames.popleft()) if self._frames else (False, None)
 
     def set(self, prop: int, value: float) -> bool:
-        """Make a setting."""
+        """Change a setting."""
         is_time = prop == cv2.CAP_PROP_EXPOSURE
         value = max(self.step, self.step * round(value / self.step)) if is_time else value
         self._controls[prop] = float(value)
@@ -74,11 +74,11 @@ class VirtualUvc:
         return self._controls.get(prop, 0.0)
 
     def getBackendName(self) -> str:  # noqa: N802
-        """Name the backend whose controls these are."""
+        """Return the name of the backend."""
         return "V4L2"
 
     def release(self) -> None:
-        """Let go."""
+        """Close the camera."""
 
 
 class UvcCamera(Webcam):

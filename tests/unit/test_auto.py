@@ -1,4 +1,4 @@
-"""Automatic acquisition: the choice of a method, and what the adaptive methods have in common."""
+"""Automatic acquisition: the choice of a method, and common behaviour of adaptive methods."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_ctrl_c_returns_the_transport_of_the_levels_before() -> None:
 
 def test_ctrl_c_before_the_floodlit_image_returns_nothing() -> None:
     rig = InterruptedRig(coaxial(), SHAPE, SHAPE, noise=None)
-    rig.brackets = 2  # a dark one and one of white light
+    rig.brackets = 2  # a black bracket and a white one
     with pytest.raises(KeyboardInterrupt):
         rfpipe.acquire(rig, "near_far", symmetry_frames=0, **FRAMES)
 

@@ -1,4 +1,4 @@
-"""A calibration's folder: written, read back, and refused if incomplete."""
+"""A calibration's folder: written, read, and refused if incomplete."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""A whole calibration on simulated devices: its steps, its folder, its report and its command."""
+"""A complete calibration of simulated devices: its steps, folder, report and command."""
 
 import json
 import re
@@ -29,7 +29,7 @@ SETTINGS = CalibrationConfig(dark_frames=4, levels=6, codes=17, symmetry_pattern
 def begun(
     folder: Path, rays: tuple[int, int] = RAYS, *more: Any, **changes: Any
 ) -> tuple[Bench, CalibrationFolder, Callable[..., None]]:
-    """A bench, its calibration's folder, and what calibrates it."""
+    """Return a bench, the folder of its calibration, and a function that runs it."""
     bench, place = wedge_bench(rays, *more, **changes), CalibrationFolder(folder / "calibration")
 
     def run(only: list[str] | None = None, bench: Bench = bench, **changed: Any) -> None:
@@ -42,7 +42,7 @@ def begun(
 
 @pytest.fixture(scope="module")
 def calibrated(tmp_path_factory: pytest.TempPathFactory) -> Any:
-    """A bench of a gamma of 2.2, calibrated."""
+    """A calibrated bench with a gamma of 2.2."""
     bench, folder, run = begun(tmp_path_factory.mktemp("calibrated"), gamma=GAMMA)
     run()
     return bench, folder, run
@@ -188,7 +188,9 @@ def test_proposed_exposures_suit_a_dim_projector_and_the_room_light(
 def test_a_rig_without_signal_gets_a_report(
     tmp_path: Path, lamp: float, room: float, said: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.2)  # light that never comes isn't waited for
+    monkeypatch.setattr(
+        latency, "LONGEST_SECONDS", 0.2
+    )  # shortens the wait for light that never comes
     bench, folder, run = begun(tmp_path, (12, 12), (96, 96), (40, 42), gamma=GAMMA)
     radiance = bench.camera._radiance
     bench.camera._radiance = lambda: lamp * radiance() + np.float32(room)
@@ -219,7 +221,7 @@ def test_the_report_is_one_page(calibrated: Any) -> None:
     assert len(legend.get_texts()) == steady["judged"].sum()
     lines = [line for line in figure.axes[0].lines if len(line.get_ydata()) > 2]
     shown = np.concatenate([line.get_ydata() for line in lines])
-    assert np.ptp(shown) < 100 * 2 * CALIBRATION.light  # exposures that noise hides are left out
+    assert np.ptp(shown) < 100 * 2 * CALIBRATION.light  # exposures below the noise are omitted
     shown = [path.stat().st_size > 5000 for path in (folder.path / "figures").glob("*.png")]
     assert all(shown)
     assert text.count("data:image/png;base64") == len(shown) == len(STEPS) - 1

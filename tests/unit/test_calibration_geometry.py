@@ -1,4 +1,4 @@
-"""Structured light, the map behind it, rays and views, against homographies that are known."""
+"""Correspondences by structured light, smooth maps, rays and views, for known homographies."""
 
 from contextlib import nullcontext
 from dataclasses import replace
@@ -31,7 +31,7 @@ HOMOGRAPHY = np.array([[4.1, 0.12, 3.0], [-0.2, 3.9, 5.0], [2e-4, -1e-4, 1.0]])
 
 
 def context_of(bench: Bench, **settings: object) -> StepContext:
-    """A bench with its black level measured, and a projector of linear light."""
+    """Return the context of a bench with a measured black level and a linear projector."""
     config = CalibrationConfig(dark_frames=4, **settings)
     context = StepContext(bench.projector, bench.camera, config, None, {}, lambda _: nullcontext())
     light = Findings(Verdict("good", ""), {}, {"light": np.linspace(0, 1, 256)})

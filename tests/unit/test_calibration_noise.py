@@ -1,4 +1,4 @@
-"""Calibration of noise and responses, against camera models whose numbers are known."""
+"""Calibration of noise and responses, for known camera models."""
 
 from __future__ import annotations
 
@@ -221,7 +221,7 @@ def test_pictures_without_light_are_refused() -> None:
         transfer_of(CAMERA, np.zeros((32, 32)))
 
 
-# so little noise that nothing evens rounding out
+# too little noise to dither the rounding
 QUIET = CameraModel(read_noise_electrons=0, full_well_electrons=1e9, electrons_per_radiance=3e10)
 TONES = [(1.0,), (0.3, 1.0), (0.2, 0.7), (0.2, 0.5), (0.2, 0.5, 0.8)]
 SCENES = [SCENE, *(np.resize(np.repeat(of, 22), SCENE.shape) for of in TONES)]

@@ -28,7 +28,7 @@ def wedge() -> np.ndarray:
 
 
 def shifted(share: float) -> np.ndarray:
-    """A camera that sees a share of the next ray to the right."""
+    """Return the matrix of a camera that receives a part of the next ray to the right."""
     matrix = (1 - share) * np.eye(RAYS)
     for ray in range(RAYS):
         matrix[ray, ray if ray % 16 == 15 else ray + 1] += share
@@ -38,7 +38,7 @@ def shifted(share: float) -> np.ndarray:
 def pictures_of(
     matrix: np.ndarray, noise: CameraModel | None = None, count: int = 12, drift: float = 0.0
 ):
-    """Pictures of a rig whose lamp fades, by `drift` from the first to the last."""
+    """Return pictures of a rig whose lamp dims by the fraction `drift` until the last one."""
     rig = OperatorRig(matrix, SHAPE, SHAPE, noise=noise)
     signs = random_signs(SHAPE, count, 0)
     lit = symmetry_patterns(signs, 4).astype(np.float32)
@@ -49,7 +49,7 @@ def pictures_of(
 
 
 def true_error(matrix: np.ndarray) -> float:
-    """Relative RMS error of pictures that ``(T + T^T) / 2`` gives."""
+    """Return the relative RMS error of pictures by ``(T + T^T) / 2``."""
     patterns = (random_signs(SHAPE, 200, 99) > 0).reshape(200, -1).T
     off = (matrix - matrix.T) @ patterns / 2
     return float(np.linalg.norm(off) / np.linalg.norm(matrix @ patterns))

@@ -1,4 +1,4 @@
-"""The catalogue: what became of each acquisition, on a page for any browser."""
+"""The catalogue: a page with the state of each acquisition."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def listed(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
 
 
 def cells(page: Any, column: int) -> list[str]:
-    """Texts of a column's cells in the rows that are shown."""
+    """Return the texts of a column in the visible rows."""
     shown = "[...document.querySelectorAll('tbody tr:not([hidden])')]"
     return list(page.evaluate(f"{shown}.map(row => row.cells[{column}].innerText)"))
 
@@ -79,14 +79,14 @@ def test_the_page_shows_states_sorts_and_filters(chromium: Any, listed: Path) ->
     page.click("th:nth-child(2) button")
     page.click("th:nth-child(2) button")
     assert [it.splitlines()[0] for it in cells(page, 1)] == sorted(STATES, reverse=True)
-    page.click("th:nth-child(6) button")  # what isn't known comes last
+    page.click("th:nth-child(6) button")  # unknown values come last
     page.click("th:nth-child(6) button")
     assert cells(page, 5)[0] == "59"
     page.uncheck("input[value=waiting]")
     page.fill("#text", "lamp <went>")
     assert cells(page, 2) == ["hadamard"]
     assert page.inner_text("#shown") == "1 shown"
-    page.set_viewport_size({"width": 400, "height": 700})  # of a telephone
+    page.set_viewport_size({"width": 400, "height": 700})  # size of a telephone
     right = "document.querySelector('tr:not([hidden]) .state').getBoundingClientRect().right"
     assert 0 < page.evaluate(right) < 400
     assert not said

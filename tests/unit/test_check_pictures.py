@@ -31,7 +31,7 @@ Gain = Callable[[int, np.random.Generator, np.ndarray], np.ndarray | float]
 
 
 def scene(kind: int, seed: int) -> np.ndarray:
-    """Radiance of a textured scene under fields of light, with indirect light."""
+    """Return the radiance of a textured scene under patterns, with indirect light."""
     random = np.random.default_rng(seed)
     albedo = random.uniform(0.2, 1, SHAPE)
     fields = random.integers(0, 2, (8, 8)).repeat(5, axis=0).repeat(5, axis=1)
@@ -51,7 +51,7 @@ def check_pictures(
     late: bool = False,
     series: int = 0,
 ) -> list[CheckPicture]:
-    """Take check pictures; faults are functions of the picture's number, from `first` on."""
+    """Return check pictures; faults are functions of the number of the picture."""
     pictures, exposures = [], np.array(camera.exposures)
     random = np.random.default_rng([seed, first])
     for number, kind in enumerate(kinds, first):

@@ -1,4 +1,4 @@
-"""Structured light by its name."""
+"""Patterns of structured light, selected by name."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from rfpipe.errors import InputError
 from rfpipe.fitting.codes import code_patterns
 from rfpipe.gray_code import gray_bits, gray_code, gray_number
 
-# What GrayCodePattern of OpenCV 5.0.0 (contrib) generates for a width of 5 and a height of 3:
-# every second picture, from the first; those between are their complements.
+# Patterns of GrayCodePattern in OpenCV 5.0.0 (contrib) for a width of 5 and a height of 3: every
+# second picture, beginning with the first. The pictures between them are their complements.
 COLUMNS = [[0, 0, 0, 0, 1], [0, 0, 1, 1, 1], [0, 1, 1, 0, 0]]
 ROWS = [[0, 0, 1], [0, 1, 1]]
 
 
 def opencv(shape: tuple[int, int]) -> np.ndarray:
-    """Pictures in OpenCV's order: of 3 x 5 pixels as OpenCV 5.0 made them, of others by its loop.
+    """Return pictures in OpenCV's order: recorded ones for 3 x 5 pixels, otherwise by its loop.
 
     `GrayCodePattern::generate` sets a bit where two neighbouring digits of the pixel's number
     differ, from the last picture to the first, and the complement after it.
@@ -51,7 +51,7 @@ def array(name: str, pictures: int, means: np.ndarray | None = None) -> np.ndarr
 
 
 def light(places: list[str], selection: slice = slice(None)) -> np.ndarray:
-    """Mean light of 5 x 3 Gray code in an order: numbers of the code, W and B.
+    """Return the mean light of a 5 x 3 Gray code in an order of its numbers, W and B.
 
     The camera sees some columns of the projector.
     """

@@ -24,7 +24,7 @@ Levels = Sequence[tuple[int, float]]
 def relit(
     results: Path, scene: str, method: str, levels: Levels, truth: float = 1.0, **options: Any
 ) -> None:
-    """Leave what the stages do of an acquisition: patterns of each level, and its error."""
+    """Write the manifests of an acquisition: patterns and error of each level."""
     folder = results / scene / method
     rows = [{"level": level, "patterns": count} for level, (count, _) in enumerate(levels)]
     known = [error for _, error in levels if error is not None]

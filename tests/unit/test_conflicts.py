@@ -14,7 +14,7 @@ def graph_of(n_blocks: int, *edges: tuple[int, int]):
 
 
 def seen_in_pairs(n_blocks: int, *edges: tuple[int, int]):
-    """Return a matrix with one row for each edge, which has its two blocks."""
+    """Return a matrix with one row per edge, with entries at its two blocks."""
     first, second = np.array(edges, np.int64).reshape(-1, 2).T
     rows = np.tile(np.arange(len(first)), 2)
     ones = np.ones(2 * len(first), np.bool_)
@@ -24,7 +24,7 @@ def seen_in_pairs(n_blocks: int, *edges: tuple[int, int]):
 
 @pytest.fixture(params=[2**22, 0], ids=["edges", "no edges"])
 def either_way(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Colour small graphs, too, as those are coloured whose edges are never written out."""
+    """Colour by both algorithms: with and without a list of all edges."""
     monkeypatch.setattr(conflicts, "_MOST_EDGES", request.param)
 
 
@@ -44,7 +44,7 @@ def test_blocks_without_conflicts_share_one_colour(n_blocks: int, colours: list[
 
 @pytest.mark.usefixtures("either_way")
 def test_a_star_needs_a_colour_for_each_of_its_blocks() -> None:
-    """Its middle sees them all."""
+    """The block in the middle conflicts with all others."""
     star = [(0, block) for block in range(1, 6)]
     assert sorted(colour_square(graph_of(6, *star)).tolist()) == list(range(6))
     assert colour_columns(seen_in_pairs(6, *star)).max() + 1 == 2
@@ -62,7 +62,7 @@ def test_colouring_is_the_same_every_time() -> None:
 def test_colours_of_large_graphs_are_near_those_of_small_ones(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """A plane's blocks that see their neighbours at most four away, as inter-reflection joins."""
+    """Blocks of a plane with conflicts at distances up to four, as by interreflections."""
     at = np.indices((24, 24)).reshape(2, -1)
     near = np.hypot(*(at[:, :, None] - at[:, None])) <= 4
     graph = conflict_graph(len(near), *np.nonzero(near))

@@ -24,10 +24,10 @@ NOISE = 0.05
 
 @pytest.fixture(scope="module")
 def noisy_transport() -> tuple[DenseTransport, np.ndarray, np.ndarray]:
-    """Return a noisy transport, its true places, and a mask of pixels that see a random place."""
+    """Return a noisy transport, true positions, and a mask of pixels at random positions."""
     rng = np.random.default_rng(1)
     row, column = np.indices(CAMERA)
-    # rotated by 90 degrees, at 0.9 rays a pixel
+    # rotated by 90 degrees, with 0.9 rays per pixel
     places = np.stack([2.2 + 0.9 * column, 2.7 + 0.9 * row], axis=-1)
     wrong = rng.uniform(size=CAMERA) < 0.08
     displayed = np.where(wrong[..., None], rng.uniform(2, 24, (*CAMERA, 2)), places)
@@ -98,7 +98,7 @@ def test_confidence_does_not_exceed_the_fraction_of_right_places(geometry, posit
     assert result.mask.sum() > 50
     for lower, upper in ((0.5, 0.9), (0.9, 1.1)):
         in_range = (result.confidence >= lower) & (result.confidence < upper)
-        # three standard deviations of a fraction of right places
+        # three standard deviations of the fraction of correct positions
         spread = 3 * 0.5 / np.sqrt(in_range.sum())
         assert right[in_range].mean() > result.confidence[in_range].mean() - spread
 

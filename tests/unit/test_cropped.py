@@ -1,4 +1,4 @@
-"""A view or region relights as in the full transport, and only its data are fetched."""
+"""Crops of a transport relight as the full transport, and load only their own data."""
 
 import zipfile
 from functools import cache
@@ -24,7 +24,7 @@ STORE = "results/field/symmetric/transport.zarr"
 
 @cache
 def light_field() -> HierarchicalTransport:
-    """A transport of nine views with leaves of each level between all pairs of them."""
+    """A transport of nine views with leaves of each level between all pairs of views."""
     draw = np.random.default_rng(4)
     tree = BlockTree(RayDomain(SHAPE))
     sets = []
@@ -90,7 +90,7 @@ def test_missing_rays_are_refused(run: Path) -> None:
 def test_a_view_is_fetched_from_a_bucket_by_ranges(
     run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, validators: str
 ) -> None:
-    """One of nine views needs a fifth of the pairs, a part of it fewer of their blocks."""
+    """One of nine views needs a fifth of the pairs of views, and a part of it fewer blocks."""
     pack(run, [file for _, file in files_below(run / STORE, STORE)], tmp_path / "packed")
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     expected = rfpipe.open_transport(run / STORE).relight(light)

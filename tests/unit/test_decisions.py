@@ -139,7 +139,7 @@ def test_a_scene_that_footprints_do_not_fit_ends_at_a_limit_of_patterns() -> Non
 
 
 def test_a_round_has_the_patterns_that_the_extrapolation_lacks() -> None:
-    """Errors that fall with the root of the patterns take four times as many for half."""
+    """If errors fall with the root of the patterns, half the error takes four times as many."""
     patterns = 1 + sum(ROUNDS[:2])
     before, error = 0.02 * np.sqrt(patterns / (1 + ROUNDS[0])), 0.02
     state = after_model_rounds(NearFar(), [before, error], 0.0199 / TARGET_MARGIN)
@@ -163,7 +163,7 @@ def test_both_targets_must_be_met() -> None:
 
 
 def test_blocks_end_close_to_the_target_where_more_of_them_hardly_help() -> None:
-    """The errors fall by a tenth while the patterns double."""
+    """The errors fall by 10 % while the number of patterns doubles."""
     state = after_model_rounds(NearFar(), [0.04, 0.02], 0.01)
     for last, phase in ((0.0105, None), (0.0125, Phase.HIERARCHY)):
         errors = (last * 1.1, last * 1.05, last)

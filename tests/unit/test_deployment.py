@@ -1,4 +1,4 @@
-"""Files by which others deploy the workflow: test run, catalogue, environment, container."""
+"""Files for deployment of the workflow: test run, catalogue, environment, container."""
 
 import re
 import tomllib

@@ -26,14 +26,17 @@ def test_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
     matrix = np.eye(rays)[np.random.default_rng(1).permutation(rays)]
     run = acquire_matrix(Dual(), matrix, shape, shape)
     np.testing.assert_array_equal(dense(run.transport)[0], matrix)
-    # No pixel sees two rays: as many patterns a level as a block has children.
+    # no pixel sees two rays, so each level takes one pattern per child of a block
     assert max(run.patterns) <= max(4, shape[0] if len(shape) == 3 else 0)
 
 
 def test_the_brightest_channel_decides_for_all() -> None:
     matrix = np.zeros((2, 2, 4))
-    matrix[:, 0, 0] = 1.0, 0.01  # bright in the first channel: both go down to the ray
-    matrix[:, 1, 3] = 0.02, 0.01  # dark in both: both stay where they fell below the threshold
+    matrix[:, 0, 0] = 1.0, 0.01  # bright in the first channel: both are subdivided to single rays
+    matrix[:, 1, 3] = (
+        0.02,
+        0.01,
+    )  # dark in both: stored at the level at which they fall below the threshold
     run = acquire_matrix(Dual(), matrix, (1, 2), (2, 2), tolerance=0.1)
     pairs = {
         (pairs.level, int(block), int(pixel)): pairs.values[:, n].tolist()
@@ -63,7 +66,7 @@ def test_responses_are_dropped_stored_or_subdivided(wedge: np.ndarray) -> None:
 
 @pytest.mark.slow
 def test_patterns_of_the_textured_wedge() -> None:
-    """The threshold means what it meant in the thesis-like prototype: some 533 patterns."""
+    """The thesis-like prototype took 533 patterns with the same threshold."""
     matrix = reference_scene("IV", (64, 64), channels=1).dense(0).astype(np.float32)
     run = acquire_matrix(Dual(), matrix, (64, 64), (64, 64))
     assert 450 <= sum(run.patterns) <= 600
@@ -78,7 +81,7 @@ def test_stored_responses_are_not_counted_twice(wedge: np.ndarray) -> None:
 def test_responses_of_a_coaxial_rig_are_distributed_as_the_transpose(
     wedge: np.ndarray, tmp_path: Path
 ) -> None:
-    """The error of the matrix is halved without patterns; the store and truncation keep this."""
+    """This reduces the error of the matrix without patterns, also after storage and truncation."""
     run = acquire_matrix(Dual(), wedge, (32, 32), (32, 32))
     assert run.transport.symmetric
     even = MultilevelTransport((32, 32), (32, 32), 1, [], run.transport.level_responses)

@@ -1,4 +1,4 @@
-"""Transports of one light at a time that know where their lights are, in the light around."""
+"""Relighting of one-light-at-a-time transports with environment maps."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ PICTURES = RANDOM.random((COUNT, *SHAPE, 3), np.float32)
 
 
 def fitted(folder: Path, name: str = "dome.lp", lights=LIGHTS, *options: object):
-    """Transport fitted to pictures and lights, which an .lp file lists in another order."""
+    """Return a transport fitted to pictures and lights in different orders."""
     for index, picture in enumerate(PICTURES):
         write_image(folder / f"light_{index}.exr", picture)
     (np.save if name.endswith("npy") else np.savetxt)(folder / name, lights)
@@ -27,7 +27,7 @@ def fitted(folder: Path, name: str = "dome.lp", lights=LIGHTS, *options: object)
         lines = (folder / name).read_text().splitlines()
         named = [f"C:\\a day\\Light_{index}.JPG {line}\n" for index, line in enumerate(lines)]
         (folder / name).write_text(f"{len(lines)}\n{''.join(named[::-1])}")
-    # pictures are noise, which other lights do not predict
+    # the pictures are noise, so other lights do not predict them
     run("fit", folder, "-o", folder / "dome.zarr", "--anyway", *options)
     return rfpipe.open_transport(folder / "dome.zarr")
 

@@ -20,7 +20,7 @@ SETS = {
 
 
 def faults(given: Shot, *exchanges: tuple[int, int]) -> list[Fault]:
-    """Faults after exchanges of pictures, one after the other."""
+    """Return the faults found after successive exchanges of pictures."""
     order = np.arange(len(given.pictures))
     for first, second in exchanges:
         order[[first, second]] = order[[second, first]]

@@ -38,7 +38,7 @@ SIDE = (32, 32)
 
 
 def places_of(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray:
-    """Place in the projector's image that each camera pixel sees: sheared, some outside, (M, 2)."""
+    """Return the sheared position of each camera pixel in the projector's image, (M, 2)."""
     row, column = np.indices(camera).reshape(2, -1) + 0.5
     down, across = row / camera[0], column / camera[1]
     return np.stack([down * 0.94 + 0.03 * across, across * 0.9 + 0.08 * down + 0.06], axis=1) * (
@@ -47,7 +47,7 @@ def places_of(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray
 
 
 def direct_light(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray:
-    """Direct light: a box of a camera pixel's size around the place that it sees, (M, N)."""
+    """Return direct light (M, N): a box around each position, of the size of a camera pixel."""
     place = places_of(camera, projector)
     overlaps = []
     for axis in (0, 1):
@@ -62,7 +62,7 @@ def direct_light(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndar
 
 
 def scene(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray:
-    """Transport of a textured surface in front of a camera apart from the projector, (1, M, N)."""
+    """Return the transport (1, M, N) of a textured surface for a displaced camera."""
     texture = np.random.default_rng(0).choice([0.4, 0.6, 0.8], (8, 8, 1))
     place = places_of(camera, projector) / projector
     on_projector = (np.indices(projector).reshape(2, -1).T + 0.5) / projector
@@ -77,7 +77,7 @@ def scene(camera: tuple[int, ...], projector: tuple[int, ...]) -> np.ndarray:
 
 
 def relighting_error(matrix: np.ndarray, transport: Any, projector: tuple[int, ...]) -> float:
-    """Mean error of relit pictures: an edge, stripes, noise and two spots."""
+    """Return the mean relighting error under an edge, stripes, noise and two spots."""
     patterns = np.zeros((5, *projector))
     patterns[0, :, : projector[1] // 2] = 1
     patterns[1, ::4] = patterns[1, 1::4] = 1

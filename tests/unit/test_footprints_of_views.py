@@ -22,14 +22,14 @@ SHAPE = (VIEWS, *IMAGE)
 
 @cache
 def room() -> np.ndarray:
-    """The transport of a room seen by three views side by side, (1, N, N)."""
+    """Return the transport (1, N, N) of a room for three views in a row."""
     scene = room_scene(("texture", "white", "white"), IMAGE, views=(1, VIEWS), channels=1)
     matrix = scene.dense(0)[None]
     return matrix / matrix.sum(axis=2).max()
 
 
 def relighting_error(transport: Any, matrix: np.ndarray) -> float:
-    """Mean error of relit pictures: half of every view, noise, a spot in one view, one view."""
+    """Return the mean relighting error under half of each view, noise, a spot and one view."""
     patterns = np.zeros((4, *SHAPE))
     patterns[0, :, :, :6] = 1
     patterns[1] = np.random.default_rng(3).random(SHAPE) < 0.5

@@ -1,4 +1,4 @@
-"""Files of lights: which line belongs to which picture, and which numbers are its direction."""
+"""Files of lights: the picture of each line, and the numbers of its direction."""
 
 from pathlib import Path
 from unicodedata import normalize

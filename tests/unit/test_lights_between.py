@@ -1,4 +1,4 @@
-"""Light from between lights, its coverage, and checks of pictures under single lights."""
+"""Interpolation between lights, its coverage, and checks of pictures under single lights."""
 
 from collections.abc import Callable
 
@@ -80,7 +80,7 @@ def test_a_panorama_is_the_sum_of_its_directions() -> None:
 @pytest.mark.parametrize("count", [1, 2, 3, 5, 60])
 def test_weights_of_a_constant_map_add_up_to_the_sphere(count: int) -> None:
     weights = rfpipe.environment_weights(np.full((32, 64, 3), (1.0, 2, 3)), sphere_of_lights(count))
-    if count != 2:  # two lights one above the other leave a ring out
+    if count != 2:  # two lights on one axis don't cover a ring
         np.testing.assert_allclose(weights.sum(axis=0), 4 * np.pi * np.array([1, 2, 3]), rtol=1e-5)
 
 
@@ -94,7 +94,7 @@ def test_lights_of_one_side_leave_the_other_dark() -> None:
     assert not transport.relight_environment(light_behind).any()
     assert rfpipe.environment_coverage(light_behind, lights) == 0
     share = rfpipe.environment_coverage(np.ones((64, 128)), lights)
-    assert 0.7 < share < 0.85  # the half of the sphere, and twice the spacing beyond its rim
+    assert 0.7 < share < 0.85  # half of the sphere, and twice the spacing beyond its edge
     assert rfpipe.environment_coverage(np.ones((64, 128)), sphere_of_lights(40)) == 1
 
 

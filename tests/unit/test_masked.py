@@ -1,4 +1,4 @@
-"""Dead and hot pixels in every method: left out, and filled in from the transpose."""
+"""Dead and hot pixels in every method: excluded, and filled in from the transpose."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ SYMMETRIC = ("symmetric", "near_far")
 
 @dataclass
 class BadPixels:
-    """A rig whose camera has pixels that are stuck: hot ones high, dead ones at its black level."""
+    """A rig with stuck pixels: hot ones at high counts, dead ones at the black level."""
 
     rig: Rig
     hot: list[tuple[int, int]]
@@ -63,7 +63,7 @@ def pictures(transport: Transport) -> np.ndarray:
 
 
 def error(result: AcquisitionResult, matrix: np.ndarray) -> float:
-    """Mean error of pictures on the pixels that aren't bad."""
+    """Return the mean relighting error of the good pixels."""
     truth = (LIT.reshape(6, -1) @ matrix.T).reshape(LIT.shape)
     pairs = zip(pictures(result.transport), truth, strict=True)
     return float(np.mean([relative_rms(relit[~BAD], true[~BAD]) for relit, true in pairs]))
@@ -76,7 +76,7 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     bad = acquire(BadPixels(rig_of(matrix), HOT, DEAD), method, progress=False)
     assert not good.masked.any()
     np.testing.assert_array_equal(bad.masked, BAD)
-    if method == "near_far":  # whose estimate may ask for one more of its rounds
+    if method == "near_far":  # its error estimate may require one more round
         assert len(bad.history) <= len(good.history) + 1
     else:
         assert bad.patterns <= 1.5 * good.patterns
@@ -85,13 +85,13 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     estimate, mask = dense(bad.transport)[0], BAD.ravel()
     assert np.isfinite(estimate).all()
     rows, columns = estimate[np.ix_(mask, ~mask)], estimate[np.ix_(~mask, mask)].T
-    if method == "dual":  # each response is spread by what others saw
+    if method == "dual":  # each response is distributed by the light of other pixels
         assert np.linalg.norm(rows - columns) < 0.1 * np.linalg.norm(columns)
         assert relative_rms(rows, matrix[np.ix_(mask, ~mask)]) < 0.1
     else:
         np.testing.assert_allclose(rows, columns, atol=1e-6 * np.abs(estimate).max())
     assert 0.5 < rows.sum() / matrix[np.ix_(mask, ~mask)].sum() < 2
-    # what nobody has seen is not made up
+    # transport between bad pixels is unknown and remains 0
     assert np.diag(estimate)[mask].max() < 0.01 * np.median(np.diag(matrix))
     assert np.isfinite(bad.history["estimated_error"]).all()
 
@@ -131,7 +131,7 @@ def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
             frames[..., 5, 6] = 3000
             return frames
 
-    # a ray a photosite: what is filled in between them is no symmetric transport
+    # one ray per photosite: interpolated photosites have no symmetric transport
     options = {"symmetry_frames": 0, "progress": False}
     result = acquire(HotPhotosite(rig, [], []), "symmetric", **options)
     assert result.masked.sum() == 9

@@ -67,7 +67,7 @@ def test_a_huge_matrix_is_rejected_before_it_is_computed() -> None:
 
 
 class _Nothing(DenseTransport):
-    """A transport too large to be made, in whose stead nothing is."""
+    """A transport too large for memory, without arrays."""
 
     def __init__(self, shape: tuple[int, int]) -> None:
         super().__init__(shape, shape, 3, [], {})

@@ -1,4 +1,4 @@
-"""Light transport from other programs' files, and as a scene of settings."""
+"""Light transport from files of other programs, and as a scene in settings."""
 
 from __future__ import annotations
 
@@ -183,7 +183,7 @@ def test_matrices_of_any_real_kind_are_read(tmp_path: Path, kind: str) -> None:
     values = (4 * T[0]).astype(kind)
     np.save(tmp_path / "dense.npy", values)
     np.testing.assert_array_equal(read(tmp_path / "dense.npy")[0], values)
-    if kind not in ("float16", ">f4", "longdouble"):  # which sparse matrices don't have
+    if kind not in ("float16", ">f4", "longdouble"):  # sparse matrices don't have this type
         sparse.save_npz(tmp_path / "sparse.npz", sparse.csr_array(values))
         np.testing.assert_array_equal(read(tmp_path / "sparse.npz")[0], values)
 

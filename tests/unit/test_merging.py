@@ -1,4 +1,4 @@
-"""The merge of brackets gives the same bits for any batches, threads and memory."""
+"""The merge of brackets: equal bits for any batches, threads and memory limits."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ IMAGE = (11, 13, 3)
 
 
 def captured(camera: CameraModel, count: int = 3) -> tuple[np.ndarray, np.ndarray]:
-    """Brackets of dark to saturated pixels, and the mean of all-off ones with a stuck pixel."""
+    """Return brackets from dark to saturated, and a mean all-off bracket with a stuck pixel."""
     light = (10.0 ** generator(4).uniform(-5, 1, (count, *IMAGE))).astype(np.float32)
     frames = np.stack([camera.expose(image, 1, (0, index)) for index, image in enumerate(light)])
     dark = np.zeros(IMAGE, np.float32)
@@ -78,7 +78,10 @@ def test_a_camera_with_no_good_pixel_is_refused() -> None:
     camera = replace(CAMERA, bayer="RGGB")
     off = np.stack([camera.expose(np.zeros((2, 2, 3)), 1, (9, index)) for index in range(8)])
     on = np.stack([camera.expose(np.ones((2, 2, 3)), 1, (8, index)) for index in range(8)])
-    off[:, :, 0, 0], on[:, :, 0, 0] = 4000, 4000  # the mosaic spreads it over all four
+    off[:, :, 0, 0], on[:, :, 0, 0] = (
+        4000,
+        4000,
+    )  # interpolation of the mosaic spreads it to all four pixels
     with pytest.raises(CaptureError, match=r"all 4 camera pixels.*merge.mask_defects"):
         estimate_references(camera, [off], [on])
 
@@ -90,7 +93,7 @@ def test_workers_keep_the_order_and_limit_results_in_memory(tmp_path: Path) -> N
     def work(first: int, last: int) -> int:
         with lock:
             begun.append(first)
-        time.sleep(0.002 * (5 - first % 5))  # later ones end earlier
+        time.sleep(0.002 * (5 - first % 5))  # later items end earlier
         return first * 100 + last
 
     pieces = [(index, index + 1) for index in range(20)]

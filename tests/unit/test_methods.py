@@ -1,4 +1,4 @@
-"""What every acquisition method has in common: the public contract, run on rfpipe's own."""
+"""The contract of acquisition methods, run on all methods of rfpipe."""
 
 from dataclasses import replace
 from typing import Any
@@ -74,7 +74,7 @@ class TestNearFar(MethodContract):
 
 
 class Broken(BruteForce):
-    """Brute force whose matrix comes out changed."""
+    """Brute force with a changed matrix."""
 
     def __init__(self, change: Any) -> None:
         self.change = change

@@ -1,4 +1,4 @@
-"""The error figures and their tables, against values worked out by hand."""
+"""Error metrics and their tables, compared with values computed by hand."""
 
 import csv
 import math
@@ -64,7 +64,7 @@ def test_errors_are_blank_where_they_are_undefined(tmp_path):
     errors = {"errors": {"spots": 0.1}, "level_errors": [1, 0.8, 0.5]}
     write_manifest(tmp_path / "relight.json", {**facts, **errors, "levels": rows})
     errors, speed = tmp_path / "tables" / "errors.csv", tmp_path / "tables" / "speed_error.csv"
-    for level, count in enumerate((5, 0, 4)):  # with references and looks
+    for level, count in enumerate((5, 0, 4)):  # including references and check pictures
         (tmp_path / f"L{level:02}").mkdir()
         write_manifest(tmp_path / f"L{level:02}/capture.json", {"patterns": count})
     evaluate.run([tmp_path / "relight.json"], errors, speed, 2.0)

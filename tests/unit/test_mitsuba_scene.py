@@ -92,7 +92,7 @@ def test_a_file_without_projector_is_coaxial_and_its_transport_symmetric(tmp_pat
         ({"parts": (LOOKING, "<shape type='nonesuch'/>")}, "nonesuch"),
         ({"parts": (LOOKING,)}, "no shape"),
         ({"parts": (LOOKING.replace("<lookat", "<scale x='-1' y='1' z='1'/><lookat"),)}, "mirrors"),
-        # looks away, or stands within a block
+        # the camera looks away or is inside a block
         ({"projectors": [{"origin": (0, 0, 4), "target": (0, 0, 9)}]}, "no light reaches"),
         ({"cameras": [{"origin": (-0.33, -0.4, -0.28), "target": (0, 0, 9)}]}, "no light reaches"),
         ({"cameras": [{"origin": (0, 0, 0), "target": (0, 2, 0)}]}, "another point to look at"),
@@ -126,7 +126,7 @@ def test_an_interrupted_recording_continues(
     complete = pictures(options(tmp_path / "whole"))
     monkeypatch.setattr(recording, "_PIECE_BYTES", 16 * 48 * 16)  # three pieces
     pieced = pictures(options(tmp_path / "pieced"))
-    # Other pieces draw other random numbers.
+    # other pieces use other random numbers
     assert 0 < np.linalg.norm(pieced - complete) < 0.1 * np.linalg.norm(complete)
     rows, traced = Tracer.rows, []
 
@@ -141,7 +141,7 @@ def test_an_interrupted_recording_continues(
     with pytest.raises(KeyboardInterrupt):
         pictures(options(tmp_path))
     np.testing.assert_array_equal(pictures(options(tmp_path)), pieced)
-    assert traced == [0, 0, 16, 16, 32, 32, 32]  # either half of a piece
+    assert traced == [0, 0, 16, 16, 32, 32, 32]  # one of the halves of a piece
 
 
 @needs_llvm

@@ -1,4 +1,4 @@
-"""The order of a mosaic's colours is found, where light can show it."""
+"""Detection of the order of a mosaic's colours."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ TINT = np.array([0.6, 1.0, 0.45])
 
 
 def pictures(order: str, tint: np.ndarray = TINT, noise: float = 0.01) -> tuple:
-    """White, and red, green and blue pictures of a textured scene, through a mosaic."""
+    """Return white, red, green and blue pictures of a textured scene through a mosaic."""
     random = np.random.default_rng(0)
     albedo = random.uniform(0.2, 1, (12, 15)).repeat(4, axis=0).repeat(4, axis=1)
     falloff = np.linspace(0.6, 1, albedo.shape[1])
     scene = 1000 * (albedo * falloff)[..., None] * tint
-    crossed = 0.85 * np.eye(3) + 0.05  # filters let some of the other colours through
+    crossed = 0.85 * np.eye(3) + 0.05  # filters transmit a part of the other colours
     images = [scene * crossed[colour] for colour in range(3)]
     light = np.stack([mosaic(image.astype(np.float32), order) for image in (sum(images), *images)])
     light = light * (1 + noise * random.standard_normal(light.shape))
@@ -57,7 +57,7 @@ def test_an_order_that_light_does_not_show_is_unknown() -> None:
 
 
 def scene_of(said: str, true: str, *, has_colours: bool) -> Findings:
-    """The step scene, of a camera whose settings say another order than it has."""
+    """Run the step `scene` for a camera whose settings state a wrong order."""
     bench = wedge_bench(
         (12, 12), (96, 96), (48, 54), channels=3, sensor=replace(CAMERA, bayer=true)
     )

@@ -1,4 +1,4 @@
-"""Smooth functions of many scales, their pairs, and the transport that they exchange."""
+"""Smooth basis functions of several scales, and their pairs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ SHAPES = [(1, 1), (1, 37), (13, 29), (12, 10), (2, 3, 5)]
 
 
 def some_functions(shape: tuple[int, ...]) -> np.ndarray:
-    """All of scale 4, and of 2 and 1 those of the first cells."""
+    """Return all functions of scale 4, and functions of scales 2 and 1 in the first cells."""
     parts = [functions_over(4, np.ones(cells(shape, 4), np.bool_))]
     for scale in (2, 1):
         covered = np.zeros(cells(shape, scale), np.bool_)
@@ -26,7 +26,7 @@ def some_functions(shape: tuple[int, ...]) -> np.ndarray:
 
 
 def spline(distance: float) -> float:
-    """The quadratic B-spline of unit spacing, by its definition."""
+    """Return the quadratic B-spline of unit spacing, by its definition."""
     distance = abs(distance)
     if distance <= 0.5:
         return 0.75 - distance**2

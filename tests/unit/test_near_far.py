@@ -28,7 +28,7 @@ CASES = hard_cases()
 
 
 def errors(scene: Scene, transport: Transport) -> list[float]:
-    """Relative errors of the relighting patterns."""
+    """Return the relative errors under the relighting patterns."""
     return [
         relative_rms(
             transport.relight(picture),
@@ -51,7 +51,7 @@ def mirror(side: int) -> np.ndarray:
 
 
 def caustics(side: int) -> np.ndarray:
-    """Two planes, and strong light between a few pairs of rays."""
+    """Return the transport of two planes with strong light between a few pairs of rays."""
     matrix = reference_scene("IV", (side, side), channels=1).dense()
     random = generator(0, 3)
     pairs = random.permutation(side * side)[: side * side // 8].reshape(-1, 2)
@@ -62,7 +62,7 @@ def caustics(side: int) -> np.ndarray:
 
 
 def smooth_views() -> np.ndarray:
-    """Light between near directions, of two views of 3 x 5 rays alike."""
+    """Return smooth light in and between two equal views of 3 x 5 rays, plus direct light."""
     row, column = (axis.ravel() for axis in np.mgrid[:3, :5])
     squared = np.subtract.outer(row, row) ** 2 + np.subtract.outer(column, column) ** 2
     block = 0.02 * np.exp(-squared / 8)
@@ -137,7 +137,7 @@ def test_the_estimated_error_is_that_of_the_hierarchy_that_is_returned(
     result = acquire(OperatorRig(matrix, shape, shape, noise), "near_far", progress=False)
     error = picture_error(result.transport, matrix, generator(8).random((4, *shape)) < 0.3)
     estimated = result.history["estimated_error"]
-    hidden = 1e-3 if noise is None else 5e-3  # by the noise of two pictures
+    hidden = 1e-3 if noise is None else 5e-3  # error caused by the noise of two pictures
     assert 0.4 * error - hidden < estimated.iloc[-1] < 2.5 * error + hidden
     assert estimated.iloc[0] > 10 * estimated.iloc[-1]
     assert result.history["patterns"].iloc[-1] == result.patterns
@@ -147,7 +147,7 @@ def test_the_estimated_error_is_that_of_the_hierarchy_that_is_returned(
 
 
 class MirrorContract(MethodContract):
-    """The contract on a mirror, where symmetric photography takes over."""
+    """The contract of methods on a mirror, for which symmetric photography takes over."""
 
     def make_method(self) -> NearFar:
         return NearFar()

@@ -1,4 +1,4 @@
-"""Pictures of a coaxial rig that show something else than their patterns."""
+"""Pictures of a coaxial rig in a wrong order or orientation."""
 
 from __future__ import annotations
 

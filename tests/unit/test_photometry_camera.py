@@ -1,4 +1,4 @@
-"""The camera model: moments of its counts, limits, optics, and what its noise depends on."""
+"""The camera model: moments of its counts, limits, optics and noise."""
 
 from dataclasses import replace
 
@@ -22,7 +22,7 @@ def flat(value: float, shape: tuple[int, ...] = (250, 400, 1)) -> np.ndarray:
 
 
 def electrons(camera: CameraModel, mean: float, **settings: float) -> np.ndarray:
-    """Electrons that the camera's first exposure counts for a mean of `mean`."""
+    """Return the electrons of the camera's first exposure for a mean of `mean` electrons."""
     camera = replace(camera, **settings)
     image = flat(mean / camera.electrons_per_radiance / camera.exposures[0])
     counts = camera.expose(image, 3, (0, 0))[0]

@@ -1,4 +1,4 @@
-"""Hot, dead and stuck pixels, and those that see nothing; a floodlit image without light."""
+"""Hot, dead and stuck pixels, unlit pixels, and floodlit images without light."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ CAMERA = CameraModel()
 def capture(
     camera: CameraModel, image: np.ndarray, count: int = 8
 ) -> tuple[np.ndarray, np.ndarray]:
-    """All-off brackets and a floodlit one."""
+    """Return all-off brackets and floodlit ones."""
     dark = np.zeros_like(image)
     off = np.stack([camera.expose(dark, 1, (10**6, index)) for index in range(count)])
     return off, camera.expose(image, 1, (0, 0))
@@ -25,7 +25,7 @@ def defects_of(off: np.ndarray, lit: np.ndarray, sensor: Sensor) -> DefectMap:
 
 
 def texture(shape: tuple[int, ...] = (40, 50, 3)) -> np.ndarray:
-    """Strokes of albedo 0.15 and 0.85, one pixel wide."""
+    """Return random albedos of 0.15 and 0.85, one pixel wide."""
     return np.where(np.random.default_rng(0).random(shape) < 0.5, 0.15, 0.85).astype(np.float32)
 
 

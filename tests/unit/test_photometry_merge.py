@@ -1,4 +1,4 @@
-"""The merge: unbiased, with the variance that it states, and never NaN."""
+"""The merge of brackets: unbiased, with its stated variance, and free of NaN."""
 
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ CAMERA = CameraModel()
 
 
 def take(camera: CameraModel, image: np.ndarray, count: int = 8, key: int = 0) -> Merged:
-    """Expose, with `count` all-off brackets, and merge."""
+    """Return the merge of exposed brackets, with `count` all-off brackets."""
     return camera.merge(camera.expose(image, 1, (2, key))[None], black(camera, image, count), count)
 
 
@@ -39,7 +39,7 @@ def test_merge_is_unbiased_and_states_its_variance(radiance: float, camera: Came
     deviation = float(np.sqrt(merged.variance.mean(dtype=np.float64)))
     bias = merged.radiance.mean(dtype=np.float64) - radiance
     assert abs(bias) < 5 * deviation / np.sqrt(merged.radiance.size)
-    # at zero, noise counts as signal where it is positive: a little too much is stated
+    # at zero, positive noise counts as signal, so the stated variance is slightly too large
     assert merged.radiance.std() == pytest.approx(deviation, rel=0.05 if radiance else 0.1)
 
 
@@ -55,7 +55,7 @@ def test_weights_from_the_pooled_estimate_are_unbiased_and_the_best() -> None:
     pooled, variance, _ = merge_bracket(electrons, usable, collection, [noise] * 3, 1e3)
     error = np.sqrt(variance.mean() / size)
     assert abs(pooled.mean(dtype=np.float64) - 1) < 5 * error
-    # its variance equals that of the best linear estimate, with the true weights
+    # its variance equals the one of the best linear estimate, with the true weights
     best = 1 / np.sum(collection**2 / (collection + noise))
     assert pooled.var(dtype=np.float64) == pytest.approx(best, rel=0.02)
 
@@ -71,7 +71,7 @@ def test_noise_of_the_black_level_is_in_the_variance() -> None:
 
 
 def test_black_level_is_subtracted_before_the_merge() -> None:
-    """A pedestal that differs from pixel to pixel and exposure to exposure leaves no trace."""
+    """An offset that varies with the pixel and the exposure is removed."""
     image = flat(0.004)
     pedestal = np.random.default_rng(0).integers(0, 200, (4, *image.shape)).astype(np.uint16)
     frames = CAMERA.expose(image, 0, (1, 1)) + pedestal

@@ -1,4 +1,4 @@
-"""Colour normalization [B.2, Fig. B.1], sentence by sentence."""
+"""Colour normalization [thesis B.2, Fig. B.1]."""
 
 import numpy as np
 import pytest
@@ -12,7 +12,7 @@ NONE = np.zeros(SHAPE)
 
 
 def dimmed(patterns: int = 5) -> tuple[np.ndarray, np.ndarray]:
-    """Images that lost light and colour, and the floodlit image that they should add up to."""
+    """Return images with a loss of light and colour, and the floodlit image, their true sum."""
     random = np.random.default_rng(0)
     true = random.uniform(0.1, 1, (patterns, *SHAPE)).astype(np.float32)
     grey = true.mean(axis=-1, keepdims=True)
@@ -101,7 +101,7 @@ BLUR = 0.6
 
 
 def spots() -> np.ndarray:
-    """Images of a coloured surface lit pixel by pixel, as they fall on the sensor."""
+    """Return radiance on the sensor of a coloured surface lit pixel by pixel."""
     blend = np.linspace(0, 1, 16)[:, None]
     albedo = (1 - blend) * [0.8, 0.25, 0.1] + blend * [0.1, 0.25, 0.8]
     images = np.zeros((12 * 16, 12, 16, 3), np.float32)

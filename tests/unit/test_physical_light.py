@@ -70,7 +70,7 @@ def rendered(
     integrator: dict | None = None,
     times: int = 1,
 ) -> np.ndarray:
-    """A picture by Mitsuba's own projector, camera and integrator, by `times` as many samples."""
+    """Render a picture by Mitsuba's projector, camera and integrator, with `times` the samples."""
     mi = load_mitsuba()
     shapes = load_scene(scene.world)
     media = any(shape.is_medium_transition() for shape in shapes.shapes())
@@ -109,13 +109,13 @@ def test_a_matt_plane_has_its_albedo_as_radiance(tmp_path: Path) -> None:
     plane = sheet((0, 0, 0), (2, 0, 0), (0, 2, 0), matt(0.2, 0.5, 0.8))
     picture = flood(scene_of(tmp_path, world(plane)))
     np.testing.assert_allclose(picture.mean(axis=(0, 1)), (0.2, 0.5, 0.8), rtol=1e-3)
-    # Pixels differ by the share of their paths that end in neighbours.
+    # pixels differ by the fraction of their paths that end in neighbours
     np.testing.assert_allclose(picture, np.broadcast_to((0.2, 0.5, 0.8), picture.shape), rtol=0.01)
 
 
 @pytest.mark.parametrize("bounces", [2, 5])
 def test_light_within_a_sphere_is_uniform(tmp_path: Path, bounces: int) -> None:
-    """Each point of a sphere gets the same from each other one: an integrating sphere."""
+    """In an integrating sphere all pairs of points exchange the same light."""
     albedo, radius = 0.7, 2.0
     inside = {"type": "twosided", "material": matt(albedo)}
     centre = view((0, 0, 0), (0, 0, -1), 60)
@@ -138,7 +138,7 @@ def test_the_first_row_of_a_texture_is_on_top(tmp_path: Path) -> None:
     assert image[:, :3, 0].mean() == pytest.approx(0.5, rel=0.03)
 
 
-# A mirror at 45 degrees shows a wall at the right as it looks from where the view's image stands.
+# A mirror at 45 degrees shows a wall at the right as seen from the mirror image of the camera.
 MIRROR = sheet((0, 0, 0), (0.8, 0, -0.8), (0, 0.8, 0), mirror(0.9))
 WALL = sheet((2, 0, 0), (0, 0, 1), (0, 1, 0), LETTER)
 IMAGE_OF_AHEAD = view((-3, 0, 0), (0, 0, 0), 20)
@@ -150,7 +150,7 @@ def test_a_mirror_shows_the_picture_from_behind_it(tmp_path: Path) -> None:
     directly = scene_of(tmp_path, world(WALL, camera=IMAGE_OF_AHEAD, projector=OTHER, bounces=1))
     reflected, expected = half_lit(by_mirror), half_lit(directly)[:, ::-1] * 0.9
     assert differ(reflected, expected) < 0.03
-    assert differ(reflected, expected[:, ::-1]) > 0.1  # a letter that isn't its own image
+    assert differ(reflected, expected[:, ::-1]) > 0.1  # the letter isn't mirror-symmetric
 
 
 def test_a_mirror_reflects_a_pattern_as_a_virtual_projector(tmp_path: Path) -> None:
@@ -180,7 +180,7 @@ def test_a_mirror_reflects_a_pattern_as_a_virtual_projector(tmp_path: Path) -> N
 
 
 WHITE = sheet((2, 0, 0), (0, 0, 2), (0, 2, 0), matt(0.5))
-INNER = slice(1, -1)  # pixels that a blur by a pixel takes no light from beyond the picture to
+INNER = slice(1, -1)  # pixels that a blur by one pixel gives no light from outside the picture
 
 
 def test_light_through_a_mirror_both_ways_equals_the_virtual_rig(tmp_path: Path) -> None:
@@ -192,7 +192,7 @@ def test_light_through_a_mirror_both_ways_equals_the_virtual_rig(tmp_path: Path)
     expected = 0.9**2 * expected[:, ::-1]
     assert reflected.sum() == pytest.approx(expected.sum(), rel=0.01)
     assert differ(reflected, expected) < 2 * both_ways.recording.noise["half_lit"]["whole"]
-    # A disc reaches no further than into the next pixels, which its own keeps the most of.
+    # the footprint of a pixel reaches at most into the next pixels, with most of its light inside
     rows, columns = np.indices((SIZE, SIZE)).reshape(2, -1)
     apart = np.maximum(abs(rows[:, None] - rows), abs(columns[:, None] - columns))
     entries = both_ways.dense(1)
@@ -203,7 +203,7 @@ def test_light_through_a_mirror_both_ways_equals_the_virtual_rig(tmp_path: Path)
         too_short.apply(np.ones((1, SIZE * SIZE)))
 
 
-REFLECTED = 0.2**2  # by either boundary of glass of index 1.5
+REFLECTED = 0.2**2  # reflectance of one boundary of glass of index 1.5
 
 
 def test_a_plane_behind_glass_has_the_transmitted_radiance(tmp_path: Path) -> None:
@@ -215,7 +215,7 @@ def test_a_plane_behind_glass_has_the_transmitted_radiance(tmp_path: Path) -> No
     mean_radiance, expected = (
         flood(scene)[INNER, INNER].mean() / scene.recording.scale for scene in scenes
     )
-    passed = (1 - REFLECTED) / (1 + REFLECTED)  # with what is reflected to and fro within it
+    passed = (1 - REFLECTED) / (1 + REFLECTED)  # including multiple reflections inside the glass
     nearer = away / (away - thick * (1 - 1 / 1.5))
     assert mean_radiance / expected == pytest.approx(passed**2 * nearer**2, rel=0.02)
 
@@ -228,7 +228,7 @@ IN_FRONT, BESIDE = view((0, 1.2, 4), (0, -0.3, 0), 38), view((2.8, 1.6, 2.6), (0
 
 
 def traced_from_the_projector(scene: MitsubaScene) -> np.ndarray:
-    """The floodlit picture by Mitsuba's particle tracer, of surfaces that the camera sees first."""
+    """Render the floodlit picture of directly visible surfaces by Mitsuba's particle tracer."""
     return rendered(scene, np.ones(SIZE * SIZE), {"type": "ptracer"}, 16)
 
 

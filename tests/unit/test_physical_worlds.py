@@ -7,7 +7,7 @@ from rfpipe.mitsuba.parts import lathe, matt
 from rfpipe.mitsuba.world import load_scene
 from rfpipe.mitsuba.worlds import WORLDS
 
-SHARE_SEEN = 0.4  # of a view's pixels that meet a surface, at least
+SHARE_SEEN = 0.4  # least fraction of a view's pixels that see a surface
 
 
 def kinds_in(value: object) -> set[type]:

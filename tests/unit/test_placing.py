@@ -19,7 +19,7 @@ WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE']
 
 
 def placed_by(folder: Path) -> tuple[str, Path]:
-    """Return a command that appends scene names to a file, and the file; its name has a space."""
+    """Return a command that appends scene names to a file, and the path of the file."""
     notes = folder / "the notes.txt"
     return f'{sys.executable} -c "{WRITE}" "{notes}"', notes
 

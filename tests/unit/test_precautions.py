@@ -1,4 +1,4 @@
-"""Rigs that aren't simulated are watched and verified: in a run and by `rfpipe.acquire` alike."""
+"""Check and verification pictures of real rigs, in runs and by `rfpipe.acquire`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FEW = {"floodlit_frames": 8, "progress": False, "symmetry_frames": 0, "tolerance
 
 
 class Real:
-    """A rig that doesn't call itself simulated."""
+    """A rig that isn't marked as simulated."""
 
     def __init__(self, rig: Any) -> None:
         self._rig, self.keys = rig, list[tuple[int, ...]]()

@@ -36,7 +36,7 @@ STORE = "results/desk/dual/transport.zarr"
 
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
-    """The folder of a small run with a report, as its stages leave it."""
+    """The folder of a small finished run with a report."""
     return write_run(tmp_path / "run", "desk")
 
 
@@ -64,7 +64,7 @@ def test_zips_and_folders_have_the_same_bytes_and_digests(run: Path) -> None:
     full_name = (run / "publication.zip").read_bytes()
     published(run, "--overwrite")
     assert (run / "publication.zip").read_bytes() == full_name
-    # nothing tells of the second in which it was written
+    # no content depends on the time of writing
     assert b"1980:01:01 00:00:00" in encoded(np.ones((4, 5, 3), np.float32), "exr")
     published(run, "-o", run / "crate")
     files = contents(run / "publication.zip")
@@ -149,7 +149,7 @@ def test_invalid_citations_are_explained(stored: object, says: str, run: Path) -
 
 
 @pytest.mark.parametrize(
-    "orcid",  # of ORCID's documentation and of its registry
+    "orcid",  # from the documentation and the registry of ORCID
     ["0000-0002-1825-0097", "0000-0001-5109-3700", "0000-0002-1694-233X", "0000-0003-1415-9269"],
 )
 def test_check_digits_follow_iso_7064(orcid: str) -> None:
@@ -266,7 +266,7 @@ def test_user_code_that_changed_after_the_run_is_refused(case: str, run: Path) -
         ("x =", [", line 1: isn't Python", "restore"]),
     ):
         file.write_text(text)
-        provenance._parsed.cache_clear()  # another process publishes
+        provenance._parsed.cache_clear()  # held by another process that publishes
         with pytest.raises(InputError) as caught:
             published(run, *GIVEN, "--overwrite")
         for words in (str(file), *says):

@@ -15,7 +15,7 @@ DISTANCE_TO_CREASE = np.abs(np.arange(40) - 19.5)
 
 
 def crease(shape: tuple[int, int] = SHAPE) -> LightRange:
-    """Light between two planes that meet in the middle column, stronger at shorter distances."""
+    """Return the ranges of light between two planes that meet in the middle column."""
     distance = np.broadcast_to(DISTANCE_TO_CREASE, shape).astype(np.float32)
     across = np.where(np.arange(40) < 20, 1, -1) * np.ones(shape)
     return LightRange(
@@ -48,7 +48,7 @@ def test_probes_light_bands_of_equal_range_together() -> None:
     is_band = np.arange(40) % 4 > 0
 
     def variance_between_columns(patterns: np.ndarray) -> float:
-        """Share of the variance between columns, each of which has one range."""
+        """Return the fraction of variance between columns; each column has one range."""
         return float(patterns[is_band].mean(axis=1).var(axis=1).mean() / 0.25)
 
     assert variance_between_columns(bands) > 2 * variance_between_columns(noise)

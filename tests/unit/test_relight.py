@@ -1,4 +1,4 @@
-"""Relighting beside the truth, and where along a line the leaves are."""
+"""Relit images next to the truth, and the map of leaf levels along a line."""
 
 import numpy as np
 import pytest

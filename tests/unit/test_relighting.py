@@ -1,4 +1,4 @@
-"""The pictures that people relight, and the error of a relit one."""
+"""Pictures for relighting tests, and the errors of relit pictures."""
 
 import numpy as np
 import pytest
@@ -18,7 +18,7 @@ def test_each_kind_has_a_third_of_the_pictures():
     lit = shapes.mean(axis=(1, 2))
     assert (lit >= 0.099).all()
     assert (lit <= 0.601).all()
-    for bar in bars:  # what lies between two lit pixels of a bar is lit
+    for bar in bars:  # pixels between two lit pixels of a bar are lit
         rows = [np.flatnonzero(row) for row in bar if row.any()]
         assert all(np.ptp(row) == len(row) - 1 for row in rows)
     sides = []
@@ -56,7 +56,7 @@ def test_the_smallest_domains_are_lit_too(shape):
 
 
 def scene(seed: int = 0, direct: float = 1.0) -> np.ndarray:
-    """A matrix of 6 x 8 coaxial rays: direct light and an even exchange, the last rays black."""
+    """Return a coaxial matrix of 6 x 8 rays with uniform indirect light and black last rays."""
     albedo = generator(seed).uniform(0.2, 1, 48)
     albedo[40:] = 0
     return np.diag(direct * albedo) + 0.01 * np.outer(albedo, albedo)
@@ -76,7 +76,7 @@ def test_the_truth_has_no_error_and_a_brighter_one_that_of_its_gain():
         assert (errors == 0).all()
     total, unknown = picture_errors(1.1 * truth, truth, PATTERNS, WHITE)
     assert total.max() == pytest.approx(0.1)
-    assert (total <= 0.1 + 1e-12).all()  # of dark pictures, relative to more than their light
+    assert (total <= 0.1 + 1e-12).all()  # errors of dark pictures are relative to a larger norm
     assert np.isnan(unknown).all()
 
 

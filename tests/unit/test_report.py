@@ -269,7 +269,7 @@ def test_it_begins_with_a_table_and_each_scene_with_its_truth(results, inputs):
 
 
 class Aside:
-    """A scene whose camera of 5 x 6 rays looks aside at what 4 x 8 projector rays light."""
+    """A scene with a displaced camera of 5 x 6 rays and a projector of 4 x 8 rays."""
 
     camera_shape, projector_shape = (5, 6), (4, 8)
     channels = 1
@@ -281,7 +281,7 @@ class Aside:
 
 
 def captured(folder, arrays, result=None):
-    """Leave what the relight stage does of a scene before a rig that is not coaxial."""
+    """Write the results of the relight stage for a rig that isn't coaxial."""
     (folder / "desk/dual").mkdir(parents=True)
     write_arrays(folder / "desk/dual/relight.zarr", arrays, {})
     level = {"level": 0, "patterns": 12, "nodes": 30, "empty": 0, "rank1": 9, "scalar": 21,
@@ -325,7 +325,7 @@ def test_a_rig_that_is_not_coaxial_has_pictures_and_no_unlit_pixels(tmp_path):
     result["recorded"] = {"grain": grain, "versions": {"drjit": "1.5.0"}}
     captured(tmp_path, arrays, result)
     errors = pd.read_csv(tables_of(tmp_path)[0])
-    # of a picture that sends back little for the pixels that it lights, less
+    # smaller for a picture whose lit pixels reflect little
     assert errors["error"].between(0.005, 0.01001).all()
     assert errors["error"].max() == pytest.approx(0.01, rel=1e-3)
     assert errors["indirect_error"].isna().all()
@@ -349,7 +349,7 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert {"12", "not verified"} < set(table.rows[0])
     assert "error, %" not in table.columns
     assert "the true light transport of a real scene is unknown" in page.words
-    # levels that asked for nothing are left out
+    # levels without patterns are omitted
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
 
 

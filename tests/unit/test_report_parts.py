@@ -52,7 +52,7 @@ def row(level: int, patterns: int, **more: Any) -> dict[str, Any]:
 def inputs_of(
     results: Path, config: Config = CONFIG, rows: list[dict[str, Any]] | None = None
 ) -> Inputs:
-    """The inputs of a report whose runs all have these levels."""
+    """Return the inputs of a report whose runs all have the given levels."""
     level_rows = rows or [row(0, 1), row(1, 12, estimated_error=0.01)]
     patterns = sum(it["patterns"] for it in level_rows)
     bundle: Any = SimpleNamespace(names=["truth"])
@@ -172,7 +172,7 @@ def test_a_captured_scene_s_error_is_that_of_its_verification(tmp_path: Path) ->
 @pytest.mark.parametrize(
     ("rows", "level_errors", "expected"),
     [
-        # fitted to all pictures together, with levels that showed nothing after the last
+        # fitted to all pictures together, followed by levels without patterns
         ([row(0, 1), row(1, 12), row(2, 0), row(3, 0)], [0.1], [(1, 13, 0.1)]),
         ([row(0, 1)], [0.5], [(0, 1, 0.5)]),
         ([row(0, 0)], [0.5], [(0, 0, 0.5)]),

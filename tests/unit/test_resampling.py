@@ -70,7 +70,7 @@ def test_a_mosaic_is_filled_in_before_the_resampling_and_its_noise_counted_once(
     assert sensor.frame_shape(SHAPE, 3) == (2, *CAMERA_SHAPE)
     assert merged.radiance[:3] == pytest.approx(resampled(resampling, raw.radiance), rel=1e-4)
     # the mean over rays and colours of measured over predicted variance; frames share `black`,
-    # whose noise the prediction counts: read noise, small beside the light's
+    # whose noise is part of the prediction: read noise, small compared with shot noise
     ratio = merged.radiance.var(axis=0) / merged.variance.mean(axis=0)
     assert ratio.mean() == pytest.approx(1, abs=0.03)
 
@@ -104,7 +104,7 @@ def test_defective_pixels_have_no_share() -> None:
 
 def test_a_ray_without_a_good_pixel_is_unknown() -> None:
     rows = np.eye(12, dtype=np.float32)
-    rows[7] = 0  # a ray that the camera doesn't see is dark, and known to be
+    rows[7] = 0  # a ray that the camera doesn't see is dark with certainty
     sensor = ResampledSensor(CAMERA, Resampling(SHAPE, SHAPE, csr_array(rows)))
     light = np.full((*SHAPE, 1), 0.5, np.float32)
     dark, frames = frames_of(CAMERA, np.zeros_like(light), 8), frames_of(CAMERA, light, 2)

@@ -23,7 +23,7 @@ STORES = {"L00": ("capture", "reference_brackets", "check_pictures"), "verificat
 
 @pytest.fixture
 def results(tmp_path: Path) -> Path:
-    """Two finished acquisitions of three levels, with verification."""
+    """Results of two finished acquisitions of three levels, with verification."""
     for method in ("dual", "auto"):
         folder = tmp_path / "results" / "vase" / method
         for level in LEVELS:

@@ -37,8 +37,8 @@ DESK = Path(__file__).parents[1] / "examples" / "desk.py"
 EVERY = tuple(STEPS)
 WIDE = [[[0, 0], [9, 0], [9, 9], [0, 9]]]
 
-# Setting, another value than in config/rig.yaml or config/bench.yaml, and the steps that are
-# measured again. No steps: a calibration holds.
+# Setting, a value other than in config/rig.yaml or config/bench.yaml, and the steps to measure
+# again; without steps the calibration remains valid.
 CHANGES: list[tuple[str, Any, tuple[str, ...]]] = [
     ("projector.driver", "dlpc900", EVERY),
     ("projector.options.display", ":7", EVERY),
@@ -111,7 +111,7 @@ def of_file(name: str, setting: str | None = None, value: Any = None) -> RigConf
 
 
 class Calibrated:
-    """A calibration whose steps only log their names, on devices that say the same of every rig."""
+    """A calibration whose steps only log their names, with equal descriptions of all devices."""
 
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.done: list[str] = []
@@ -127,7 +127,7 @@ class Calibrated:
         return measure
 
     def measure(self, config: RigConfig, only: list[str] | None = None) -> set[str]:
-        """Do steps of a calibration, and return those that were measured."""
+        """Run steps of the calibration, and return the names of the measured ones."""
         self.done.clear()
         shape = (4, 4)
         camera = SimulatedCamera(lambda: None, shape, 1, CameraModel())  # type: ignore[arg-type, return-value]
@@ -136,7 +136,7 @@ class Calibrated:
         return set(self.done)
 
     def write(self) -> None:
-        """Write what a rig is built from, as the last part of a calibration does."""
+        """Write the result of the calibration, from which a rig is built."""
         settings: dict[str, Any] = {}
         for conditions in filter(None, map(self.folder.conditions, STEPS)):
             settings |= conditions.settings
@@ -154,7 +154,7 @@ def test_each_setting_has_a_row() -> None:
     names = {*flat(rig.model_dump(mode="json")), "camera.options.nodes"}  # {} has no flat name
     names |= {f"bench.{name}" for name in BenchConfig.model_fields}
     rows = {"bench.scene" if "bench.scene" in row else row for row, _, _ in CHANGES}
-    assert rows == names - {"kind", "rig", "scene", "bench"}  # not of a rig of devices
+    assert rows == names - {"kind", "rig", "scene", "bench"}  # not for a rig of devices
 
 
 @pytest.mark.parametrize(
@@ -190,7 +190,7 @@ def test_a_changed_setting_is_measured_again_and_not_served(
     with caplog.at_level(logging.INFO):
         repeated = calibrated.measure(now)
     expected = set(steps) & set(calibration_steps.steps_of(now.calibrate))
-    assert repeated >= expected  # and those that build on them
+    assert repeated >= expected  # and the steps that depend on them
     assert repeated == expected or expected != set(EVERY)
     assert setting in caplog.text
     assert calibrated.measure(now) == set()
@@ -206,7 +206,7 @@ def test_the_code_of_a_user_driver_is_a_setting(
     assert calibrated.measure(config) == set(STEPS)
     calibrated.write()
     Path("desk.py").write_text(f"# a comment\n{text}")
-    provenance._parsed.cache_clear()  # of this process, which has read the file
+    provenance._parsed.cache_clear()  # the cache of this process
     assert calibrated.measure(config) == set()
     Path("desk.py").write_text(text.replace("0.3 + 0.5", "0.2 + 0.5"))
     provenance._parsed.cache_clear()
@@ -231,7 +231,7 @@ def test_a_step_does_not_use_steps_of_other_settings(calibrated: Calibrated) -> 
         calibrated.measure(now, ["linearity"])
     steps = ["steadiness", "dark", "linearity"]
     assert calibrated.measure(now, steps) == {*steps}
-    # what shapes other steps alone doesn't matter
+    # settings of other steps don't matter
     finer = of_file("rig", "calibrate.codes", 65)
     finer = finer.model_copy(update={"sensor": now.sensor})
     assert calibrated.measure(finer, ["linearity"]) == set()

@@ -1,4 +1,4 @@
-"""Rigs made from known light transport; the dot test."""
+"""Rigs of known light transport, and the dot test."""
 
 import json
 import os
@@ -24,7 +24,7 @@ KEYS = [(1, index) for index in range(5)]
 
 
 class Callable:
-    """A pattern operator, as a scene is."""
+    """An operator on patterns, with the interface of a scene."""
 
     channels = 3
     shape = (3, 7)

@@ -1,4 +1,4 @@
-"""The lock of a run's folder: freed where its holder was killed, and only there."""
+"""The lock of a run's folder: removed only if the process that holds it was killed."""
 
 from __future__ import annotations
 
@@ -80,14 +80,14 @@ def test_a_lock_that_is_not_known_stays(
 ) -> None:
     kill(run)
     folder = tmp_path / ".snakemake" / "locks"
-    if change == "another":  # beside the killed run's lock files
+    if change == "another":  # next to the lock files of the killed run
         (folder / "1.output.lock").touch()
-    else:  # of a Snakemake that came after it
+    else:  # of a later Snakemake
         (folder / "0.input.lock").unlink()
         (folder / "0.input.lock").touch()
     with pytest.raises(LockedError, match=f"by an unknown Snakemake.*{UNLOCK}"):
         free_if_dead(tmp_path, UNLOCK)
-    assert not free_if_dead(tmp_path, None)  # which is for Snakemake to do
+    assert not free_if_dead(tmp_path, None)  # Snakemake removes it
     assert locks(tmp_path)
 
 
@@ -99,7 +99,7 @@ def test_results_without_snakemake_s_records_are_named(
         write_manifest(Path(f"results/{scene}/dual/transport.json"), {})
     records = Path(".snakemake/metadata")
     records.mkdir(parents=True)
-    # as Snakemake names the record of results/recorded/dual/transport.json
+    # Snakemake's record of results/recorded/dual/transport.json
     name = "cmVzdWx0cy9yZWNvcmRlZC9kdWFsL3RyYW5zcG9ydC5qc29u"
     (records / name).write_text("{}")
     assert unrecorded(Path()) == ["copied/dual"]

@@ -1,4 +1,4 @@
-"""docs/scenes.md, followed word by word: its snippets run, and its example is a good scene."""
+"""docs/scenes.md: its snippets run, and its example is a valid scene."""
 
 import re
 import shutil

@@ -31,7 +31,7 @@ class TestRoom(SceneContract):
 
 
 class Own(CoaxialScene):
-    """A scene of a function of the weights, which counts how often it is used and made."""
+    """A scene defined by a function of the weights, which counts its uses and instances."""
 
     made = itertools.count()
 

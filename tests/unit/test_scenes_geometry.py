@@ -40,7 +40,7 @@ def test_points_of_plane_and_wedge_have_exact_positions_and_areas():
     points = surface_points((31, 35), GEOMETRIES["plane"])
     assert np.allclose(points.positions[:, 2], 3)
     assert np.allclose(points.positions[0, :2], [-17 / 31 * 3, -15 / 31 * 3])
-    # each pixel's central ray stands for its whole area: the error is of second order
+    # the central ray represents the area of its pixel, with an error of second order
     assert points.areas.sum() == pytest.approx(3 * 3 * 35 / 31, rel=1e-12)
     wedge = surface_points((200, 240), GEOMETRIES["wedge"])
     x, _, z = wedge.positions.T
@@ -91,7 +91,7 @@ def test_invalid_surfaces_and_positions_are_refused():
         ((0, 0, 0), (0, 0, 2), True),
         ((0, 0, 0), (0.9, 0, 2), True),  # crosses at x = 0.45
         ((0, 0, 0), (1.1, 0, 2), False),
-        ((0, 0, 0), (0, 0, 0.9), False),  # stays in front
+        ((0, 0, 0), (0, 0, 0.9), False),  # in front of the occluder
         ((0.1, 0, 1), (0.1, 0, 2), False),  # starts on the occluder
         ((-0.2, 0, 1), (0.2, 0, 1), False),  # runs within its plane
     ],

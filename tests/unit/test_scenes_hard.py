@@ -1,4 +1,4 @@
-"""The named hard cases are what their names say."""
+"""Properties of the predefined hard scenes."""
 
 import numpy as np
 import pytest

@@ -43,7 +43,7 @@ def test_views_span_the_angles_and_look_at_the_scene():
     assert np.ptp(horizontal, axis=1) == pytest.approx([37] * 3)
     assert np.ptp(vertical, axis=0) == pytest.approx([29] * 5)
     assert positions[7] == pytest.approx([0, 0, 0])
-    assert (np.diff(positions[:5, 0]) > 0).all()  # left to right, then down
+    assert (np.diff(positions[:5, 0]) > 0).all()  # ordered by rows
     for view, way in zip(views, towards, strict=True):
         assert view.axes[0, 1] == 0  # the horizon is level
         assert view.axes[2] @ way == pytest.approx(np.linalg.norm(way))
@@ -63,7 +63,7 @@ def test_weights_of_texels_add_up_and_so_do_footprints():
 
 def test_a_uniformly_lit_screen_has_no_ripples():
     light = np.zeros((1, 9, 26, 40))
-    light[:, 0] = 1  # one view's light, seen by another where both look
+    light[:, 0] = 1  # the light of one view in another, where they overlap
     weights = screen((3, 3), (26, 40)).apply(light).reshape(9, 26, 40)[4, 8:-8, 12:-12]
     second = (
         np.diff(weights, n=2, axis=0) / weights[1:-1],
@@ -76,7 +76,7 @@ def test_a_uniformly_lit_screen_has_no_ripples():
 def test_energy_is_conserved_and_within_the_default_camera_range(shape):
     scene = room_scene(SURFACES, shape, views=(3, 3))
     points, _ = scene._patches
-    # what of the light that leaves a point arrives elsewhere
+    # fraction of the light of a point that arrives at other points
     arrives = scene.form_factors.apply(points.areas[:, None])
     assert 0 <= arrives.min() < 0.5 < arrives.max() < 1
     picture = scene.apply(np.ones((1, *scene.shape)))
@@ -92,9 +92,11 @@ def test_occluded_parts_of_views_receive_only_indirect_light():
     lights = np.zeros((9, *direct.shape), dtype=np.float32)
     lights[range(9), range(9)] = 1
     pictures = direct.apply(lights).reshape(9, 9, 26, 40)  # light, view
-    assert (pictures[range(9), range(9)] > 0).all()  # a projector lights whatever its camera sees
+    assert (
+        pictures[range(9), range(9)] > 0
+    ).all()  # a projector lights everything that its camera sees
     shadow = pictures == 0
-    # shadows of the things in the room, not only places that the other view doesn't look at
+    # shadows of objects, not only areas outside of the other view
     assert all(shadow[light, 4, 8:18, 12:28].any() for light in (0, 2, 6, 8))
     assert not np.array_equal(shadow[0, 4], shadow[8, 4])  # they move with the light
     assert (all_light.apply(lights[:1]).reshape(9, 26, 40)[shadow[0]] > 0).mean() > 0.9

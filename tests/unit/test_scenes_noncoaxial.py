@@ -32,7 +32,7 @@ MIDDLE = (0.0, 0.0, 3.0)
 
 
 def waves(positions, surface):
-    """A smooth albedo, each surface's another."""
+    """Return a smooth albedo that differs between surfaces."""
     x, y, z = positions.T
     return (0.5 + 0.3 * np.sin(9 * x + 5 * y) * np.cos(7 * z) + 0.01 * surface)[:, None]
 
@@ -108,7 +108,7 @@ def test_direct_light_follows_the_inverse_square_law(geometry):
     assert abs(ratio.mean() - 1) < 0.003
     assert np.abs(ratio - 1).max() < 0.06
     assert not lit[((place < -1) | (place > np.array([25, 29]))).any(axis=1)].any()
-    # all of it in view is accounted for
+    # the energy of all visible light is accounted for
     areas = surface_points((31, 36), GEOMETRIES[geometry]).areas
     light = (scene.dense() * areas[:, None]).sum(axis=0) / (0.5 * scene.scale)
     np.testing.assert_allclose(light.reshape(24, 28)[8:16, 8:20], 1, atol=5e-3)
@@ -117,7 +117,7 @@ def test_direct_light_follows_the_inverse_square_law(geometry):
 
 def test_an_occluder_casts_the_geometric_shadow():
     wall = GEOMETRIES["plane"]
-    plate = Occluder((1.25, 0, 1.6), (0.15, 0, 0), (0, 0.15, 0))  # beside the camera's view
+    plate = Occluder((1.25, 0, 1.6), (0.15, 0, 0), (0, 0.15, 0))  # outside the camera's view
     lamp = Pinhole((24, 28), PLACES["plane"], MIDDLE)
     camera = Pinhole((31, 36))
     free, shaded = (

@@ -46,7 +46,7 @@ def normals_of(points):
 
 
 def cosines_of(points):
-    """Both cosines times the distance between all points, and the squared distance, clamped."""
+    """Return both cosines times the distance, and the clamped squared distance, of all points."""
     to, normals = points.positions[None] - points.positions[:, None], normals_of(points)
     cosine_i = np.maximum(np.einsum("ijx,ix->ij", to, normals), 0)
     cosine_j = np.maximum(-np.einsum("ijx,jx->ij", to, normals), 0)
@@ -85,7 +85,7 @@ def test_an_occluder_blocks_exactly_the_occluded_pairs():
     assert 0.1 < hidden.mean() < 0.9
     assert (after[hidden] == 0).all()
     assert np.array_equal(after[~hidden], before[~hidden])
-    assert np.array_equal(plated.albedo, free.albedo)  # seen edge-on it hides no pixel
+    assert np.array_equal(plated.albedo, free.albedo)  # an occluder seen edge-on hides no pixel
 
 
 def test_occluder_in_view_is_black():

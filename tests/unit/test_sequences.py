@@ -29,21 +29,21 @@ Float = np.ndarray
 
 
 class SimulatedSequences:
-    """A simulated rig that shows and exposes lists of patterns, too.
+    """A simulated rig with hardware sequences that have random faults.
 
-    A pattern's frames are those of the rig itself, byte for byte: what is captured doesn't depend
-    on whether it was by sequences, nor on their faults.
+    A pattern's frames have the same bytes as frames of the rig without sequences. Captures
+    therefore must not depend on sequences or on their faults.
 
     Parameters
     ----------
     rig : OperatorRig
     longest : int
-        The most patterns of a sequence.
+        Largest number of patterns in a sequence.
     seed : int
     faults : float
-        Probabilities. Of each frame: ``dropped``, its trigger is missed; ``twice``, it comes twice.
-        Of each list: ``late``, its frames come one late, after an old one, and the last one not at
-        all; ``swapped``, two of its frames come in the other's place.
+        Probabilities of faults. For each frame: ``dropped``, its trigger is missed; ``twice``, it
+        is delivered twice. For each sequence: ``late``, an old frame is delivered first and the
+        last one is missing; ``swapped``, two of its frames are exchanged.
     """
 
     def __init__(
@@ -73,7 +73,7 @@ class SimulatedSequences:
     def play(self, order: Sequence[int], exposure: int) -> Float:
         keys = []
         for place in order:
-            self._shown += 1  # the words get a new key each time
+            self._shown += 1  # codewords get a new key at each attempt
             key = self._keys[place]
             keys.append((*key, self._shown) if key[0] == SEQUENCE_KEY else key)
         frames = self._rig.capture(self._patterns[list(order)], keys)[:, exposure]
@@ -96,7 +96,7 @@ class SimulatedSequences:
 
 
 def rig(scene: str = "mixed") -> OperatorRig:
-    """A scene of direct light, one with as much indirect light, and a cavity full of it."""
+    """Return a rig of a scene: direct light only, mixed, or mostly indirect light."""
     random, rays = np.random.default_rng(7), RAYS[0] * RAYS[1]
     direct = np.diag(random.uniform(0.1, 1, rays))
     indirect = {
@@ -153,7 +153,7 @@ def test_faults_are_detected_and_corrected(fault: str, scene: str, kind: str) ->
         frames = sequences.show_sequence(*given)
         expected = plain.capture(*given)
         differing = (frames != expected).any(axis=tuple(range(2, frames.ndim)))
-        # frames that are saturated all over are alike, whatever they are of: the merge is the same
+        # completely saturated frames are equal for all patterns, so the merge is the same
         assert not differing[:, :2].any()
         np.testing.assert_allclose(
             merged(plain, frames),
@@ -161,7 +161,7 @@ def test_faults_are_detected_and_corrected(fault: str, scene: str, kind: str) ->
             atol=1e-3 * merged(plain, expected).max(),
         )
         n_lost += sequences.statistics["sequences"]["lost"]
-    assert (n_lost > 0) is (fault != "all come one late")  # which is told by the words alone
+    assert (n_lost > 0) is (fault != "all come one late")  # detectable by the codewords only
 
 
 def merged(plain: OperatorRig, frames: Float) -> Float:
@@ -189,7 +189,7 @@ def test_long_lists_are_divided_and_short_lists_need_no_sequence() -> None:
     assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     assert sequences.show_sequence(given[0][:0], []).shape[0] == 0
     assert sequence_patterns(plain) == 0
-    capture_batch(sequences, given[0][:1], given[1][:1])  # one is no list
+    capture_batch(sequences, given[0][:1], given[1][:1])  # a single pattern needs no sequence
     assert sequences.statistics["sequences"]["played"] == 3 * len(plain.sensor.exposures)
     with pytest.raises(InputError, match="weights from 0 to 1"):
         sequences.show_sequence(given[0] + 1, given[1])
@@ -201,7 +201,7 @@ class TestSequencesAsARig(RigContract):
 
 
 class Stopping(SimulatedSequences):
-    """Fails in the midst of its second sequence."""
+    """A rig that fails in the middle of its second sequence."""
 
     def show_sequence(self, shown: Float, keys: Any) -> Float:
         if self.statistics["sequences"]["played"]:

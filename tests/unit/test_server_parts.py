@@ -1,4 +1,4 @@
-"""Leases with a clock of their own, tokens, and settings of remote rigs."""
+"""Leases under a simulated clock, tokens, and settings of remote rigs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The exposure times of photo cameras."""
+"""Exposure times of photo cameras by their names."""
 
 import pytest
 

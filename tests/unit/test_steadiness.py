@@ -1,4 +1,4 @@
-"""What changes between pictures of one pattern is named by its cause: gain, lamp, room, queue."""
+"""Causes of changes between pictures of one pattern: gain, lamp, room light, frame queue."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ Light = Callable[[int, int], Any]
 
 
 def brackets(light: Light, count: int, image: Any, camera: CameraModel = CAMERA) -> Any:
-    """Return sampled brackets of an image, (count, E, n), whose light is changed."""
+    """Return sampled brackets (count, E, n) of an image under changing light."""
     pictures = []
     for bracket in range(count):
         frames = []
@@ -56,7 +56,7 @@ def jitter(size: float) -> Light:
 
 
 def flicker(size: float) -> Light:
-    """Flicker that fades with the number of the exposure."""
+    """Return flicker that is weaker for longer exposures."""
 
     def light(bracket: int, number: int) -> tuple[float, float]:
         phase = generator(3, bracket, number).random() * 2 * np.pi
@@ -143,7 +143,7 @@ def test_black_pictures_without_light_change_nothing() -> None:
         (np.repeat([1.0, 0.9], 6), True),
         (np.exp(0.1 * generator(1).standard_normal(12)), False),
         (1 - 0.01 * np.arange(12) + 0.1 * generator(1).standard_normal(12), False),
-        (np.array([1.0, 0.9, 1.1]), True),  # too few to tell
+        (np.array([1.0, 0.9, 1.1]), True),  # too few pictures
     ],
 )
 def test_drift_is_smooth_and_gain_is_not(gains: Any, smooth: bool) -> None:
@@ -174,7 +174,9 @@ PLACES: dict[str, tuple[Callable[[Any], Any], str]] = {
 def test_pictures_reveal_their_placement(name: str, count: int, indirect: float) -> None:
     projected, expected = PLACES[name]
     signs = generator(7).integers(0, 2, (count, *SHAPE)) * 2.0 - 1
-    albedo = generator(8).choice([0.02, 0.2, 0.9], SHAPE)  # black things are no missing light
+    albedo = generator(8).choice(
+        [0.02, 0.2, 0.9], SHAPE
+    )  # black surfaces don't count as missing light
 
     def seen(patterns: Any) -> Any:
         light = projected(np.asarray(patterns))

@@ -291,7 +291,7 @@ def test_a_stale_store_is_refused_until_discarded(
         create(tmp_path / "s", **change)
     assert contents(tmp_path / "s") == intact
     FrameStore.discard(tmp_path / "s")
-    FrameStore.discard(tmp_path / "s")  # discarding a missing store is no error
+    FrameStore.discard(tmp_path / "s")  # a missing store can be discarded
     assert list(tmp_path.iterdir()) == []
     with create(tmp_path / "s", **change) as store:
         assert not store.done.any()

@@ -1,4 +1,4 @@
-"""Symmetric photography on transports that are known exactly (thesis ch. 5)."""
+"""Symmetric photography [thesis ch. 5] of known matrices."""
 
 from dataclasses import replace
 
@@ -65,7 +65,7 @@ def test_a_diffuse_cavity_is_known_after_the_first_subdivision():
 
 @pytest.mark.parametrize("seed", [0, 1])
 def test_grainy_transport_is_not_amplified(seed):
-    """Its sums nearly cancel, and would be divided by."""
+    """Its sums nearly cancel, and are divisors."""
     grain = 0.01 * np.random.default_rng(seed).standard_normal((256, 256))
     place = np.indices((16, 16)).reshape(2, -1) / 16
     squared = np.square(place[:, :, None] - place[:, None]).sum(axis=0)
@@ -138,7 +138,7 @@ def test_truncation_equals_the_transport_after_that_level():
 
 
 def grainy_light(side, seed):
-    """Direct light with a bright spot, and indirect light as grainy as sampling leaves it."""
+    """Return direct light with a bright spot, and noisy indirect light of a sampled scene."""
     random = np.random.default_rng(seed)
     x = np.stack(np.mgrid[:side, :side], axis=-1).reshape(-1, 2) / side
     squared = ((x[:, None] - x[None]) ** 2).sum(axis=2)

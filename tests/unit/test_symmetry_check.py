@@ -91,7 +91,7 @@ def test_dead_pixels_are_no_asymmetry(matrix: np.ndarray, share: float) -> None:
 
 
 class Lit(FaultyRig):
-    """A rig in a room whose light comes on after the white pictures, or whose lamp is boosted."""
+    """A rig whose room light or lamp changes after the white pictures."""
 
     def __init__(self, room: float = 0.0, boost: float = 1.0) -> None:
         self._room = rig(wedge()[0], CameraModel())

@@ -1,4 +1,4 @@
-"""Fault-injecting devices: each does what its name says, and only from where it begins."""
+"""Faulty devices: size and beginning of each fault."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def pictures(count: int) -> np.ndarray:
 
 
 def taken(projector: Any, camera: Any, shown: np.ndarray) -> np.ndarray:
-    """Light of each exposure, (K, E, H, W), in units of the first exposure's full scale."""
+    """Return the light of each exposure, (K, E, H, W), relative to full scale of the first."""
     frames = []
     for picture in shown:
         projector.show(picture)

@@ -1,4 +1,4 @@
-"""Stored transports: their formats, old stores, the memory budget; and the number of threads."""
+"""Stored transports: number formats, memory budget and threads."""
 
 from pathlib import Path
 
@@ -95,7 +95,7 @@ def test_beyond_the_memory_budget_it_streams_with_the_same_results(
     monkeypatch.setattr(leaves, "_SET_VALUES", 4000)
     monkeypatch.setattr(truncation, "_SUMMED_VALUES", 7000)
     acquired = dual
-    if method == "symmetric":  # cut into sets of the size above
+    if method == "symmetric":  # divided into sets of the size above
         assert isinstance(transport, HierarchicalTransport)
         rows, sets = transport.level_rows, list(transport.leaf_sets)
         acquired = HierarchicalTransport.from_leaf_sets(transport.tree, 3, rows, sets)
@@ -103,7 +103,7 @@ def test_beyond_the_memory_budget_it_streams_with_the_same_results(
     path = tmp_path / "transport.zarr"
     save_transport(acquired, path, number_format)
     loaded, streamed = open_transport(path), open_transport(path, memory_budget=10_000)
-    batch = np.concatenate([PATTERNS] * 4)  # more than are relit at a time
+    batch = np.concatenate([PATTERNS] * 4)  # more than one batch
     for light in (PATTERNS[:1], batch):
         np.testing.assert_array_equal(streamed.relight_batch(light), loaded.relight_batch(light))
     np.testing.assert_array_equal(

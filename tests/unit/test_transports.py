@@ -1,4 +1,4 @@
-"""Every kind of transport: it is the matrix that its arrays say, and a store keeps it."""
+"""All kinds of transport: the matrix of their arrays, and storage."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -44,7 +44,7 @@ def leaves(shape: tuple[int, ...] = COAXIAL) -> Made:
 
 
 def pairs() -> Made:
-    """Each pixel's response to single rays and to blocks, spread evenly."""
+    """Return responses of pixels to single rays and to blocks, distributed uniformly."""
     tree, sets, matrix = BlockTree(RayDomain(PROJECTOR)), [], np.zeros((3, M, N))
     for level in (1, tree.n_levels - 1):
         block, pixel = (index.ravel() for index in np.indices((tree.n_blocks(level), M)))
@@ -138,7 +138,7 @@ def test_it_is_the_matrix_that_its_arrays_say(make: Callable[[], Made]) -> None:
     np.testing.assert_allclose(dense(transport), expected, atol=atol)
     np.testing.assert_allclose(transport.T.toarray(), expected.swapaxes(1, 2), atol=atol)
     dot_test(transport)
-    patterns = draw(20, *transport.projector_shape, 3)  # more than are relit at a time
+    patterns = draw(20, *transport.projector_shape, 3)  # more than one batch
     images = transport.relight_batch(patterns)
     assert images.dtype == np.float32
     lit = np.einsum("cmn,pnc->pmc", expected, patterns.reshape(20, -1, 3))

@@ -38,11 +38,11 @@ def test_the_error_is_the_true_error_within_noise(
     relit = verification.relit.reshape(truth.shape)
     true, _ = rfpipe.picture_errors(relit, truth, verification.patterns, floodlit)
     for row, expected in zip(verification.table.itertuples(), true, strict=True):
-        # the black level and the lamp's gain, which all pictures share, have noise of their own
+        # the black level and the lamp's gain are noisy, but equal for all pictures
         assert abs(row.error - expected) < 4 * row.standard_error + 2e-3, row.name
     assert verification.mean_error == pytest.approx(true.mean(), abs=2e-3)
     if method == "symmetric" and pixels:
-        assert verification.mean_error > 0.3  # and it had no other way to know
+        assert verification.mean_error > 0.3  # the transport alone has no sign of this
 
 
 def test_noise_alone_is_no_error() -> None:
@@ -51,7 +51,7 @@ def test_noise_alone_is_no_error() -> None:
     variance = (0.001 + 0.01 * truth).astype(np.float32)
     captured = (truth + np.sqrt(variance) * random.standard_normal(truth.shape)).astype(np.float32)
     variance[:, 0, :3] = np.inf
-    captured[:, 0, :3], captured[:, 0, 3:] = 1e6, np.nan  # what isn't known doesn't count
+    captured[:, 0, :3], captured[:, 0, 3:] = 1e6, np.nan  # unknown pixels don't count
     floodlit = np.zeros((2, 6, 7, 1), np.float32)
     floodlit[0, 0, 3:] = np.nan
     verification = compare(truth[..., 0], (captured, variance), truth, np.ones(1), floodlit)
@@ -79,7 +79,7 @@ def test_a_glint_hides_no_error() -> None:
 
 def test_the_error_of_a_dark_picture_is_relative_to_a_typical_one() -> None:
     pattern, dark = np.zeros((1, 4, 4), np.float32), np.zeros((1, 4, 4, 1), np.float32)
-    pattern[0, 0, 0] = 1  # and shines on nothing
+    pattern[0, 0, 0] = 1  # the spot lights a black surface
     white = np.ones((4, 4, 1), np.float32), np.full((4, 4, 1), 0.25, np.float32)
     relit = dark.copy()
     relit[0, 0, 0] = 0.1

@@ -39,19 +39,19 @@ def page(chromium: Any, symmetric: Path) -> Iterator[Any]:
 
 
 def settled(page: Any) -> None:
-    """Wait until the picture is that of what is set."""
+    """Wait until the picture agrees with the settings."""
     page.wait_for_timeout(50)
     wait_until(page, "!going && !asked && document.body.dataset.shown === stateToHash(state)")
 
 
 def slide(page: Any, name: str, value: float) -> None:
-    """Move a slider as a hand does."""
+    """Move a slider by mouse."""
     page.locator(f"#{name}").fill(str(value))
     settled(page)
 
 
 def shown(page: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The light (C, rays) and the picture (C, rays) of the page."""
+    """Return the light (C, rays) and the picture (C, rays) of the page."""
     result = page.evaluate("[[...shown.light], shown.colour, [...shown.picture]]")
     light, colour, picture = map(np.array, result)
     coloured = light.size == picture.size
@@ -71,14 +71,14 @@ def alike(page: Any, transport: Any) -> None:
 
 
 def place(page: Any, canvas: str, x: float, y: float) -> tuple[float, float]:
-    """Where a part of the picture is, which fills the canvas' height."""
+    """Return the position on the page of a point of the picture, given as fractions."""
     box = page.locator(canvas).bounding_box()
     width = min(box["width"], box["height"] * SHAPE[1] / SHAPE[0])
     return box["x"] + (box["width"] - width) / 2 + x * width, box["y"] + y * box["height"]
 
 
 def drag(page: Any, canvas: str, begin: tuple[float, float], end: tuple[float, float]) -> None:
-    """From one place to another, in parts of the picture."""
+    """Drag between two points of the picture, given as fractions."""
     page.mouse.move(*place(page, canvas, *begin))
     page.mouse.down()
     page.mouse.move(*place(page, canvas, *end), steps=3)
@@ -216,7 +216,7 @@ def test_the_picture_is_saved_at_a_size(
 ) -> None:
     if scale is not None:
         page.locator("#scale").select_option(scale)
-        slide(page, "size", 20)  # which doesn't change the size
+        slide(page, "size", 20)  # this doesn't change the size
     with page.expect_download() as download:
         page.locator("#save").click()
     download.value.save_as(tmp_path / "saved.png")
@@ -275,7 +275,9 @@ def test_axe_reports_no_accessibility_problem(
         result = page.evaluate("axe.run()")["violations"]
         assert [(violation["id"], violation["nodes"][0]["html"]) for violation in result] == []
         controls = page.locator(".controls").bounding_box()
-        assert width == 400 or controls["y"] + controls["height"] <= 900  # not below the fold
+        assert (
+            width == 400 or controls["y"] + controls["height"] <= 900
+        )  # visible without scrolling
     assert page.evaluate("document.documentElement.scrollWidth") <= width
     page.context.close()
 
@@ -294,7 +296,7 @@ def test_parts_of_the_light_are_switched_on_and_off(chromium: Any, tmp_path: Pat
 def test_views_are_selected_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     transport = transport_of("light field")
     page = opened(chromium, write_view(View(transport, "Views"), tmp_path / "field.html").page)
-    drag(page, "#seen", (0.9, 0.9), (0.9, 0.8))  # of all lit views none is that seen
+    drag(page, "#seen", (0.9, 0.9), (0.9, 0.8))  # no lit view is the displayed view
     assert page.evaluate("[state.x, state.y]") == [0.5, 0.5]
     slide(page, "litView", 1)
     slide(page, "seenView", 1)

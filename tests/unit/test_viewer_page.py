@@ -1,4 +1,4 @@
-"""A viewer's page in a real browser: pictures as from Python, by hand, by keys, from a link."""
+"""Pictures of the viewer's page in a browser equal pictures computed in Python."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Weights are never taken from the integers of a picture, 0 to 255, wherever patterns enter."""
+"""Integers of pictures, 0 to 255, are rejected as weights of patterns everywhere."""
 
 import numpy as np
 import pytest

@@ -113,7 +113,7 @@ class Workflow:
 
 
 def journal(store: Path) -> list[str]:
-    """Lines of a store's journal; an empty list if there is no journal."""
+    """Lines of a store's journal; an empty list without a journal."""
     try:
         return (store / "journal.jsonl").read_text().splitlines()
     except FileNotFoundError:

@@ -1,4 +1,4 @@
-"""Small versions of the thesis' figures by their rules: none is missing or blank."""
+"""Small versions of the thesis' figures by their rules: all exist and have content."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""On files: a rig that isn't coaxial ends an acquisition that needs it, before its first level."""
+"""The symmetry test on files: acquisitions by methods that need a coaxial rig."""
 
 from __future__ import annotations
 
@@ -148,6 +148,6 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
         assert (folder.path / "transport.json").exists()
         assert "symmetry" not in folder.read_manifest(0, "merge")
         assert not folder.store(0, "symmetry").exists()
-    # whoever was refused and doesn't want to be looked at isn't
+    # a refused acquisition continues if the symmetry test is disabled
     folder = run("symmetric", 0, f"symmetric_{FRAMES}")
     assert (folder.path / "transport.json").exists()

@@ -1,4 +1,4 @@
-"""A run that verifies what it acquired: resumed, remade, refused, and looked after meanwhile."""
+"""Verification pictures of a run, and check pictures during its captures."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str,
 
 
 class Stopping(FaultyRig):
-    """A rig that stops at a key, and counts what it shows."""
+    """A rig that fails at a key, and records the keys of all pictures."""
 
     def __init__(self) -> None:
         super().__init__(OperatorRig(list(wedge()), SHAPE, SHAPE, CameraModel()), self._stop)
@@ -175,8 +175,8 @@ def test_the_workflow_has_a_step_for_verification(tmp_path: Path) -> None:
     facts = read_manifest(tmp_path / target)
     assert np.isfinite([picture["error"] for picture in facts["pictures"]]).all()
     planned = run.run("--dry-run")
-    # after the report it is said what is above
+    # the message about errors above the bound follows the report
     assert re.search(r"^bound +1$", planned, re.MULTILINE)
     assert "verification " not in planned
     run.configure(**settings, verification={**verification, "fail_above": 0.5})
-    assert "Nothing to be done" in run.run(target)  # another bound takes no pictures
+    assert "Nothing to be done" in run.run(target)  # a changed bound takes no pictures

@@ -1,4 +1,4 @@
-"""Damaged runs: what is wrong is found, mended by the command named, and the bytes are equal."""
+"""Checks of damaged runs, and repairs to the same bytes by the given commands."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from rfpipe.store import read_manifest, write_arrays, write_manifest
 
 
 def acquire(path: Path, method: str = "symmetric") -> list[tuple[int, ...]]:
-    """Do what the workflow's job does; return the keys of the patterns shown."""
+    """Acquire like the workflow's job; return the keys of all patterns shown."""
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
     acquire_matrix(path, rig, method)
     return rig.shown
@@ -33,7 +33,7 @@ def acquire(path: Path, method: str = "symmetric") -> list[tuple[int, ...]]:
 
 @pytest.fixture(scope="module")
 def intact(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Results of a matrix by symmetric and by dual photography; leave them as they are."""
+    """Results of a matrix by symmetric and by dual photography; read only."""
     results = tmp_path_factory.mktemp("intact") / "results"
     for method in ("symmetric", "dual"):
         acquire(results / "matrix" / method, method)
@@ -53,14 +53,14 @@ def flip(path: Path, old: str, new: str) -> None:
 
 
 def other_digit(path: Path, after: str) -> None:
-    """Change the first digit after a text."""
+    """Return text with the first digit after a part of it changed."""
     content = path.read_text()
     at = next(i for i in range(content.index(after), len(content)) if content[i].isdigit())
     path.write_text(content[:at] + str((int(content[at]) + 1) % 10) + content[at + 1 :])
 
 
 def misplace(run: Path, name: str) -> None:
-    """Lay dual photography's into symmetric photography's folder."""
+    """Replace a file of symmetric photography by the one of dual photography."""
     source = run.parent / "dual" / name
     shutil.rmtree(run / name, ignore_errors=True)
     (shutil.copytree if source.is_dir() else shutil.copy)(source, run / name)
@@ -126,7 +126,7 @@ def test_damage_is_found_and_repaired_to_the_same_bytes(
     of_captures = kind.startswith(("capture: chunk", "capture: line", "reference", "level"))
     assert bool(shown) == of_captures
     if kind.startswith("capture"):
-        assert len(shown) <= 1  # the damaged pattern alone
+        assert len(shown) <= 1  # only the damaged pattern
     assert check(results).findings == []
     assert stored(results) == stored(intact)
 
@@ -203,7 +203,7 @@ def test_links_to_other_disks_are_followed_and_broken_ones_found(
     (results / "matrix/dual").rename(tmp_path / "other disk")
     link = results / "matrix/dual"
     link.symlink_to(tmp_path / "other disk")
-    (tmp_path / "other disk" / "again").symlink_to(link)  # a circle
+    (tmp_path / "other disk" / "again").symlink_to(link)  # a circular link
     assert check(results).stores == 2 * (4 * 6 + 2 + 1 + 1)  # the last schedule has no patterns
     damage(tmp_path / "other disk/L01/merge.zarr")
     (finding,) = check(results).findings
@@ -383,7 +383,7 @@ def test_a_run_with_several_kinds_of_damage_is_repaired_by_the_given_commands(
     for removal, _, _ in commands:
         subprocess.run(removal, shell=True, check=True)
     (command,) = {command for _, _, command in commands}
-    command = command.replace(" run ", f" run {TINY} ", 1)  # and not the whole report
+    command = command.replace(" run ", f" run {TINY} ", 1)  # without the report
     subprocess.run(command, shell=True, check=True, capture_output=True)
     assert copy.contents("tiny/symmetric") == undisturbed.contents("tiny/symmetric")
     assert check(run).findings == []
