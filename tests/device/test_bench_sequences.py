@@ -16,7 +16,7 @@ def shown() -> tuple[np.ndarray, list[tuple[int, int]]]:
     return patterns, [(1, index) for index in range(COUNT)]
 
 
-def test_a_sequence_gives_what_one_by_one_gives() -> None:
+def test_a_sequence_gives_the_frames_of_single_pictures() -> None:
     camera = {"options": {"sequence_line": "Software", "timeout_seconds": 0.5}}
     with bench(camera=camera) as rig:
         one_by_one = rig.capture(*shown()).astype(float)
@@ -33,7 +33,7 @@ def test_without_a_line_there_are_no_sequences() -> None:
         assert plain.show_sequence(*shown()).shape[0] == COUNT  # one by one
 
 
-def test_an_input_that_stays_silent_is_given_up_in_time() -> None:
+def test_a_silent_trigger_input_ends_the_sequence_in_time() -> None:
     camera = {"options": {"sequence_line": "Line1", "timeout_seconds": 0.2}}
     with bench(camera=camera) as rig:
         assert rig.sequence_patterns == 199

@@ -66,7 +66,7 @@ def test_a_healthy_bench_is_good(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("light", [{"ambient": 0.3}, {"projector_black": 0.05}])
-def test_light_that_fills_the_dark_leads_no_step_astray(
+def test_room_light_in_dark_pictures_misleads_no_step(
     tmp_path: Path, light: dict[str, float]
 ) -> None:
     only = ["steadiness", "scene", "dark", "linearity", "light", "transfer"]

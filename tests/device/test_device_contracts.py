@@ -120,7 +120,7 @@ class BrokenCamera(SimulatedCamera):
         (BrokenCamera, "counts", "describes_itself_and_closes"),
     ],
 )
-def test_the_contract_finds_what_is_wrong(device: Any, fault: str, test: str) -> None:
+def test_the_contract_detects_violations(device: Any, fault: str, test: str) -> None:
     suite: Any = ProjectorContract() if device is BrokenProjector else CameraContract()
     suite.make_projector = suite.make_camera = lambda: device("none")
     suite.read_back = lambda projector: projector.light

@@ -140,7 +140,7 @@ def test_half_the_light_lost_is_not_reported_as_gain(after: int) -> None:
         (faults.half_dark, "right edge"),
     ],
 )
-def test_a_rig_that_is_no_longer_as_calibrated_is_refused(inject, place, method) -> None:
+def test_a_rig_that_differs_from_its_calibration_is_refused(inject, place, method) -> None:
     def projecting(projector, camera, after):
         return inject(projector, after), camera
 
@@ -157,7 +157,7 @@ def test_a_rig_that_is_no_longer_as_calibrated_is_refused(inject, place, method)
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(500, 524))
 @pytest.mark.parametrize("factor", [1, 16])
-def test_a_clean_capture_raises_nothing(
+def test_a_clean_capture_gives_no_alarm(
     factor: float, seed: int, caplog: pytest.LogCaptureFixture
 ) -> None:
     rig = coaxial_rig(seed=seed, camera=darker(factor))

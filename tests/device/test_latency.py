@@ -39,7 +39,7 @@ def test_a_quick_display_is_good() -> None:
     assert projector.statistics["shown"] == PICTURES
 
 
-def test_a_slow_display_is_found_and_what_to_set() -> None:
+def test_a_slow_display_is_found_with_the_setting_to_change() -> None:
     _, result = measured(0.1, 0.01)
     assert result.verdict.standing == "poor"
     assert 0.05 < result.facts["delay_seconds"] < 0.2
@@ -49,14 +49,14 @@ def test_a_slow_display_is_found_and_what_to_set() -> None:
     assert result.arrays["worst"][0] < 0.5 < result.arrays["worst"][-1] == 1
 
 
-def test_a_projector_that_is_covered_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_covered_projector_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.5)
     with pytest.raises(CaptureError, match="not brighter than black ones"):
         measured(0, 0, is_covered=True)
 
 
 @pytest.mark.parametrize("exposures", [(1 / 64,), (1 / 64, 1 / 8)])
-def test_pictures_of_the_pattern_before_are_taken_again(
+def test_pictures_of_the_previous_pattern_are_repeated(
     exposures: tuple[float, ...], caplog: pytest.LogCaptureFixture
 ) -> None:
     patterns = (np.random.default_rng(0).random((6, *RAYS)) < 0.5).astype(np.float32)

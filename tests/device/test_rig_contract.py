@@ -86,7 +86,7 @@ class Broken(OperatorRig):
         ("describes its use", "describes_itself"),
     ],
 )
-def test_the_contract_finds_what_is_wrong(fault: str, test: str) -> None:
+def test_the_contract_detects_violations(fault: str, test: str) -> None:
     suite: Any = RigContract()
     suite.make_rig = lambda: Broken("none")
     getattr(suite, f"test_{test}")()

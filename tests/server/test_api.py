@@ -71,7 +71,7 @@ def test_a_repeated_request_is_not_exposed_again(http: httpx.Client, rig: SlowRi
     assert "used with other patterns" in answer.json()["detail"]
 
 
-def test_a_heart_beats_between_captures(rig: SlowRig) -> None:
+def test_heartbeats_are_sent_between_captures(rig: SlowRig) -> None:
     with running(rig, lease_seconds=2.5) as server, server.client() as client:
         client.capture(ON, [(1, 0)])
         time.sleep(3.0)
@@ -115,7 +115,7 @@ def test_the_capture_of_a_client_that_died_ends_before_the_next_pattern(
         assert 1 < len(rig.shown) < 10
 
 
-def test_a_rig_that_fails_is_tried_again_and_then_given_up(
+def test_a_failing_rig_is_retried_a_limited_number_of_times(
     server: Running, rig: SlowRig, caplog: pytest.LogCaptureFixture
 ) -> None:
     with server.client(patience_seconds=1.5) as client:
@@ -171,7 +171,9 @@ def test_a_failed_request_continues(server: Running, rig: SlowRig) -> None:
     np.testing.assert_array_equal(frames, OperatorRig.capture(rig, patterns, keys))
 
 
-def test_a_restart_is_waited_for_and_the_request_goes_on(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_client_waits_for_a_restart_and_repeats_its_request(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
     port = free_port()
     first = SlowRig(noise=CameraModel(), seed=1)
     with running(first, port=port) as server:
@@ -292,7 +294,7 @@ def test_a_signal_closes_the_rig(number: signal.Signals) -> None:
         server.kill()
 
 
-def test_a_port_that_is_taken_is_named(server: Running) -> None:
+def test_a_port_in_use_is_named(server: Running) -> None:
     with (
         pytest.raises(ConfigError, match=rf"port {server.port}.*choose another --port"),
         bound_socket("127.0.0.1", server.port),

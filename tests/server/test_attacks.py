@@ -87,7 +87,9 @@ def status_of(connection: socket.socket) -> int:
         "Bearer " + "x" * 9000, b"Bearer \xff\xfe",
     ],
 )  # fmt: skip
-def test_no_token_and_wrong_tokens(server: Running, authorization: str | bytes | None) -> None:
+def test_missing_and_wrong_tokens_are_refused(
+    server: Running, authorization: str | bytes | None
+) -> None:
     headers: Any = {} if authorization is None else {"Authorization": authorization}
     with httpx.Client(base_url=server.url, trust_env=False) as http:
         for path in PATHS:
@@ -110,7 +112,7 @@ def test_no_token_and_wrong_tokens(server: Running, authorization: str | bytes |
         "/" + "x" * 10_000,
     ],
 )  # fmt: skip
-def test_path_tricks_lead_nowhere(server: Running, path: str) -> None:
+def test_manipulated_paths_are_refused(server: Running, path: str) -> None:
     request = f"GET {path} HTTP/1.1\r\nHost: rig\r\nAuthorization: Bearer {TOKEN}\r\n"
     with connected(server) as connection:
         connection.sendall(request.encode() + b"Connection: close\r\n\r\n")
@@ -221,7 +223,9 @@ MALFORMED = {
 }
 
 
-def test_malformed_messages_and_impossible_patterns(server: Running, rig: SlowRig) -> None:
+def test_malformed_messages_and_impossible_patterns_are_refused(
+    server: Running, rig: SlowRig
+) -> None:
     for name, body in MALFORMED.items():
         answer = post(server, body)
         assert answer.status_code == 422, (name, answer.text)
@@ -230,7 +234,7 @@ def test_malformed_messages_and_impossible_patterns(server: Running, rig: SlowRi
     assert rig.shown == []
 
 
-def test_other_headers_than_there_must_be(server: Running, rig: SlowRig) -> None:
+def test_wrong_headers_are_refused(server: Running, rig: SlowRig) -> None:
     body = encode_patterns(ON, [(1, 0)])
     assert post(server, body, **{"Content-Type": "application/json"}).status_code == 415
     for key in ("", "short", "x" * 100, "with spaces in the key", "../../../etc/passwd"):
@@ -245,7 +249,7 @@ def test_other_headers_than_there_must_be(server: Running, rig: SlowRig) -> None
     assert rig.shown == []
 
 
-def test_oversized_bodies(server: Running, rig: SlowRig) -> None:
+def test_oversized_bodies_are_refused(server: Running, rig: SlowRig) -> None:
     with undisturbed_capture(server, rig), server.http() as http:
         large = bytes(200_000)
         headers = {"Rig-Lease": "some-lease", "Idempotency-Key": "x" * 20}
@@ -265,7 +269,7 @@ def test_oversized_bodies(server: Running, rig: SlowRig) -> None:
         assert refused.status_code == 401
 
 
-def test_slow_clients(server: Running, rig: SlowRig) -> None:
+def test_slow_clients_are_disconnected(server: Running, rig: SlowRig) -> None:
     with undisturbed_capture(server, rig), ExitStack() as stack:
         slow = [stack.enter_context(connected(server)) for _ in range(2)]
         slow[1].sendall(b"GET /v1/rig HTTP/1.1\r\nHost: r")
@@ -285,7 +289,7 @@ def test_slow_clients(server: Running, rig: SlowRig) -> None:
 
 
 @pytest.mark.parametrize("beginning", [b"", b"PK"])
-def test_a_body_that_does_not_come_is_not_waited_for(server: Running, beginning: bytes) -> None:
+def test_a_missing_body_does_not_block_the_server(server: Running, beginning: bytes) -> None:
     with server.http() as http, connected(server) as connection:
         lease = http.post("/v1/lease", json={"client": "slow"}).json()["lease"]
         headers = {"Rig-Lease": lease, "Idempotency-Key": "x" * 20, "Content-Type": MEDIA_TYPE}

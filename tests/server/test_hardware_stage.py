@@ -51,7 +51,7 @@ def acquired(tmp_path_factory: pytest.TempPathFactory) -> RemoteAcquisition:
     return acquisition
 
 
-def test_a_resampled_sensor_is_made_again_from_what_its_capture_left(
+def test_a_resampled_sensor_is_restored_from_its_capture(
     acquired: RemoteAcquisition,
 ) -> None:
     packed = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
@@ -80,7 +80,7 @@ def test_a_rig_that_differs_from_the_plan_is_refused(tmp_path: Path, server: Run
         assert http.get("/v1/status").json()["brackets"] == 0
 
 
-def test_another_rig_than_at_the_beginning(tmp_path: Path) -> None:
+def test_a_changed_rig_is_refused(tmp_path: Path) -> None:
     rig = ResampledRig()
     with running(rig) as server:
         acquisition = RemoteAcquisition(tmp_path, server.url)

@@ -88,7 +88,9 @@ def bodies(patterns: int) -> dict[str, bytes]:
 
 
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="needs /proc to see memory")
-def test_no_requests_take_a_gigabyte(process: tuple[subprocess.Popen[bytes], str]) -> None:
+def test_no_request_takes_a_gigabyte_of_memory(
+    process: tuple[subprocess.Popen[bytes], str],
+) -> None:
     server, url = process
     with httpx.Client(base_url=url, headers=RIGHT, trust_env=False, timeout=60) as http:
         limits = http.get("/v1/rig").json()["limits"]

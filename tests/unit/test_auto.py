@@ -59,7 +59,7 @@ def noisy_rig(matrix: np.ndarray) -> OperatorRig:
         ((2, 12, 12), (2, 12, 12), None, Footprints),
     ],
 )
-def test_chooses_a_method_by_the_rig(
+def test_auto_chooses_a_method_by_the_rig(
     camera: tuple[int, ...], projector: tuple[int, ...], is_coaxial: bool | None, chosen: type
 ) -> None:
     method = Auto().for_rig(RayDomain(camera), RayDomain(projector), is_coaxial)
@@ -71,7 +71,7 @@ def test_chooses_a_method_by_the_rig(
     [(coaxial(), NearFar), (displaced(), Footprints), (halved(), Footprints)],
     ids=["coaxial", "displaced", "of two shapes"],
 )
-def test_returns_the_transport_of_the_method_that_it_chose(
+def test_auto_returns_the_transport_of_the_chosen_method(
     matrix: np.ndarray, chosen: type[Method], caplog: pytest.LogCaptureFixture
 ) -> None:
     with caplog.at_level(logging.INFO, "rfpipe.references.symmetry"):
@@ -102,7 +102,7 @@ class InterruptedRig(OperatorRig):
         return super().capture(patterns, keys)
 
 
-def test_ctrl_c_returns_the_transport_of_the_levels_before() -> None:
+def test_ctrl_c_returns_the_transport_of_the_finished_levels() -> None:
     rig = InterruptedRig(coaxial(), SHAPE, SHAPE, noise=None)
     rig.brackets = 5
     result = rfpipe.acquire(rig, "near_far", symmetry_frames=0, **FRAMES)
@@ -120,7 +120,7 @@ def test_ctrl_c_before_the_floodlit_image_returns_nothing() -> None:
 @pytest.mark.parametrize(
     ("matrix", "method"), [(coaxial(), "near_far"), (displaced(), "footprints")]
 )
-def test_fits_announce_about_as_many_steps_as_they_take(matrix: np.ndarray, method: str) -> None:
+def test_announced_steps_of_fits_are_a_close_upper_bound(matrix: np.ndarray, method: str) -> None:
     factory = MagicMock()
     with steps.displayed_by(factory):
         run_method(get_method(method), matrix[None], SHAPE, SHAPE, target_error=1e-4, patterns=40)

@@ -195,7 +195,7 @@ def test_the_verdict_on_few_pictures_is_unknown() -> None:
     assert "Take more levels" in verdict.text
 
 
-def test_light_that_flickers_adds_no_noise_and_speckle_does() -> None:
+def test_flicker_adds_no_noise_but_speckle_does() -> None:
     random = np.random.default_rng(0)
 
     def flickers(index: int, weight: float) -> np.ndarray:

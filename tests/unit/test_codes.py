@@ -162,7 +162,7 @@ def test_patterns_of_a_large_projector_take_no_memory() -> None:
         ("phase:5x3,period=3,plain", 10, "phase has no option 'complements'"),
     ],
 )  # fmt: skip
-def test_mistakes_are_answered_with_the_syntax(
+def test_messages_about_mistakes_explain_the_syntax(
     name: str, pictures: int, message: str | None
 ) -> None:
     if message is None:
@@ -182,7 +182,7 @@ def test_mistakes_are_answered_with_the_syntax(
         (np.ones(11), "expected one for each picture"),
     ],
 )
-def test_white_at_an_unusual_place_must_be_stated(means: np.ndarray, message: str) -> None:
+def test_white_at_an_unusual_position_must_be_stated(means: np.ndarray, message: str) -> None:
     with pytest.raises(InputError, match=message):
         code_patterns("gray:5x3", 12, means)
 

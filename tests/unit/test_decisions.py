@@ -90,7 +90,7 @@ def test_an_error_of_noise_ends_the_acquisition() -> None:
         assert NearFar().decide(state, Phase.MODEL, False).phase is phase
 
 
-def test_a_residual_that_helps_gets_rounds_of_its_own() -> None:
+def test_a_useful_residual_gets_further_rounds() -> None:
     state = after_model_rounds(NearFar(), [0.05, 0.03], 0.01)
     helped = replace(state, residual=EMPTY_RESIDUAL)
     assert NearFar().decide(state, Phase.MODEL, False).phase is Phase.MODEL
@@ -138,7 +138,7 @@ def test_a_scene_that_footprints_do_not_fit_ends_at_a_limit_of_patterns() -> Non
     assert Footprints().decide(limited, Phase.MODEL, False) == (None, NOT_SUITABLE)
 
 
-def test_a_round_has_the_patterns_that_the_extrapolation_lacks() -> None:
+def test_a_round_has_the_patterns_missing_by_extrapolation() -> None:
     """If errors fall with the root of the patterns, half the error takes four times as many."""
     patterns = 1 + sum(ROUNDS[:2])
     before, error = 0.02 * np.sqrt(patterns / (1 + ROUNDS[0])), 0.02
@@ -162,7 +162,7 @@ def test_both_targets_must_be_met() -> None:
         assert NearFar().decide(state, Phase.MODEL, False).phase is phase
 
 
-def test_blocks_end_close_to_the_target_where_more_of_them_hardly_help() -> None:
+def test_blocks_end_near_the_target_if_further_ones_hardly_help() -> None:
     """The errors fall by 10 % while the number of patterns doubles."""
     state = after_model_rounds(NearFar(), [0.04, 0.02], 0.01)
     for last, phase in ((0.0105, None), (0.0125, Phase.HIERARCHY)):

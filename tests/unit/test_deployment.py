@@ -32,7 +32,7 @@ def test_the_pinned_environment_has_all_dependencies_at_locked_versions() -> Non
     assert set(pinned.items()) <= locked_versions()
 
 
-def test_both_environments_are_completed_by_the_same_script() -> None:
+def test_one_script_completes_both_environments() -> None:
     scripts = [
         (ROOT / f"workflow/envs/{name}.post-deploy.sh").read_text()
         for name in ("rfpipe", "rfpipe.pinned")

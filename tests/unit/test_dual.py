@@ -21,7 +21,7 @@ def wedge() -> np.ndarray:
 
 
 @pytest.mark.parametrize("shape", [(1, 37), (13, 29), (1, 1), (3, 4, 6)])
-def test_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
+def test_a_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
     rays = RayDomain(shape).size
     matrix = np.eye(rays)[np.random.default_rng(1).permutation(rays)]
     run = acquire_matrix(Dual(), matrix, shape, shape)
@@ -30,7 +30,7 @@ def test_permutation_is_recovered_exactly(shape: tuple[int, ...]) -> None:
     assert max(run.patterns) <= max(4, shape[0] if len(shape) == 3 else 0)
 
 
-def test_the_brightest_channel_decides_for_all() -> None:
+def test_the_brightest_channel_decides_on_subdivision() -> None:
     matrix = np.zeros((2, 2, 4))
     matrix[:, 0, 0] = 1.0, 0.01  # bright in the first channel: both are subdivided to single rays
     matrix[:, 1, 3] = (
@@ -65,7 +65,7 @@ def test_responses_are_dropped_stored_or_subdivided(wedge: np.ndarray) -> None:
 
 
 @pytest.mark.slow
-def test_patterns_of_the_textured_wedge() -> None:
+def test_a_textured_wedge_takes_the_patterns_of_the_prototype() -> None:
     """The thesis-like prototype took 533 patterns with the same threshold."""
     matrix = reference_scene("IV", (64, 64), channels=1).dense(0).astype(np.float32)
     run = acquire_matrix(Dual(), matrix, (64, 64), (64, 64))
@@ -94,7 +94,7 @@ def test_responses_of_a_coaxial_rig_are_distributed_as_the_transpose(
     assert all(stored.truncate(level).symmetric for level in range(6))
 
 
-def test_rigs_that_are_not_coaxial_spread_evenly(wedge: np.ndarray) -> None:
+def test_responses_of_noncoaxial_rigs_are_distributed_uniformly(wedge: np.ndarray) -> None:
     random = np.random.default_rng(0)
     mirrored = wedge.reshape(32, 32, -1)[:, ::-1].reshape(1024, -1)
     for matrix in (mirrored, random.random((1024, 1024)), wedge[random.permutation(1024)]):
@@ -115,7 +115,7 @@ def test_noise_is_not_subdivided(wedge: np.ndarray) -> None:
     assert picture_error(run.transport, wedge, FLOODLIT) < 0.1
 
 
-def test_culled_blocks_leave_a_level_complete_and_stored_blocks_do_not() -> None:
+def test_a_level_is_complete_without_culled_blocks_but_not_without_stored_ones() -> None:
     matrix = np.eye(16)
     matrix[:, [10, 11, 14, 15]] = 0  # the lower right block sends no light to any pixel
     dark = acquire_matrix(Dual(), matrix, (4, 4), (4, 4))

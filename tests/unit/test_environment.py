@@ -33,7 +33,7 @@ def fitted(folder: Path, name: str = "dome.lp", lights=LIGHTS, *options: object)
 
 
 @pytest.mark.parametrize("name", [name.replace("[!.]*", "dome") for name in LIGHT_FILES])
-def test_a_folder_s_file_of_lights_stays_with_the_transport(tmp_path: Path, name: str) -> None:
+def test_a_fitted_transport_keeps_the_directions_of_its_lights(tmp_path: Path, name: str) -> None:
     transport = fitted(tmp_path, name)
     np.testing.assert_array_equal(transport.lights, LIGHTS)
     subset = rfpipe.crop(transport, np.s_[2:4, :], np.s_[:, 3::2])
@@ -55,7 +55,9 @@ def sun(direction, height: int, *, mirrored: bool = False):
 
 @pytest.mark.parametrize("mirrored", [False, True])
 @pytest.mark.parametrize("turned", [0, -90])
-def test_a_lone_sun_at_a_light_gives_its_picture(tmp_path: Path, mirrored, turned) -> None:
+def test_a_single_lit_pixel_in_the_direction_of_a_light_gives_its_picture(
+    tmp_path: Path, mirrored, turned
+) -> None:
     transport, height = fitted(tmp_path), 400
     for light in (0, 4, 7):
         panorama, solid_angle = sun(LIGHTS[light], height, mirrored=mirrored)
@@ -80,7 +82,7 @@ def test_panoramas_have_the_orientation_of_openexr(row: int, column: int, axis: 
         assert weights[:, 0].argmax() == expected
 
 
-def test_mirror_and_the_share_of_light_that_lights_reach(tmp_path: Path) -> None:
+def test_coverage_of_the_lights_and_mirrored_maps(tmp_path: Path) -> None:
     lights = np.abs(LIGHTS) * [1, 1, 3]
     transport = fitted(tmp_path, "dome.lp", lights)
     sky = np.zeros((32, 64, 3), np.float32)
@@ -113,7 +115,7 @@ def test_exported_lights_keep_their_directions(tmp_path: Path) -> None:
     assert not (tmp_path / "out/olat.lp").exists()
 
 
-def test_a_map_that_shines_alike_keeps_its_energy_as_it_turns() -> None:
+def test_a_uniform_map_keeps_its_energy_when_rotated() -> None:
     rig = rfpipe.OperatorRig(np.ones((42, COUNT)), SHAPE, (1, COUNT))
     transport = rfpipe.acquire(rig, "dual", progress=False).transport
     transport.lights, rgb = LIGHTS, np.array([3, 2, 1])
@@ -122,7 +124,7 @@ def test_a_map_that_shines_alike_keeps_its_energy_as_it_turns() -> None:
         np.testing.assert_allclose(result / rgb, np.full((*SHAPE, 3), 4 * np.pi), rtol=1e-5)
 
 
-def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> None:
+def test_a_rotating_panorama_is_written_as_movie_and_pictures(tmp_path: Path) -> None:
     transport, sky = fitted(tmp_path), RANDOM.random((8, 16, 3), np.float32)
     write_image(tmp_path / "sky.exr", sky)
     command = ["relight", tmp_path / "dome.zarr", "--environment", tmp_path / "sky.exr", "--turns"]
@@ -147,7 +149,7 @@ def test_a_panorama_that_turns_as_a_movie_and_as_pictures(tmp_path: Path) -> Non
     ],
 )
 @pytest.mark.parametrize("name", ["dome.lp", "light_pos.npy"])
-def test_lights_of_no_pictures_are_refused(tmp_path, name, lights, options, message) -> None:
+def test_lights_without_pictures_are_refused(tmp_path, name, lights, options, message) -> None:
     with pytest.raises(InputError, match=message):
         fitted(tmp_path, name, lights, *options)
     assert not (tmp_path / "dome.zarr").exists()

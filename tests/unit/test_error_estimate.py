@@ -106,7 +106,7 @@ def test_estimates_the_error_of_the_indirect_light_of_parts(relative: float, sig
         assert estimate.indirect == pytest.approx(expected, rel=0.3)
 
 
-def test_each_spot_counts_by_itself() -> None:
+def test_each_spot_counts_separately() -> None:
     """One of forty spots is missing, in two pictures of twenty."""
     pictures, _ = held_out(0.0)
     missing = held_out_parts(SHAPE)[3][0]
@@ -158,7 +158,7 @@ def test_estimates_the_error_of_parts_relit_alone(
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-3, 1.0])
-def test_the_estimate_of_an_exact_transport_is_the_error_that_noise_could_hide(
+def test_the_estimate_of_an_exact_transport_is_the_error_within_noise(
     sigma: float,
 ) -> None:
     pictures, floodlit = held_out(sigma * BRIGHTEST)

@@ -29,7 +29,7 @@ def faults(given: Shot, *exchanges: tuple[int, int]) -> list[Fault]:
 
 
 @pytest.mark.parametrize("given", SETS.values(), ids=SETS)
-def test_right_pictures_are_accused_of_nothing(given: Shot) -> None:
+def test_correct_pictures_have_no_faults(given: Shot) -> None:
     assert faults(given) == []
 
 
@@ -73,7 +73,7 @@ def test_a_missing_picture_is_refused_in_one_sentence_on_the_order() -> None:
     assert "name of the other. " in str(refusal.value)
 
 
-def test_a_mirrored_map_is_no_evidence() -> None:
+def test_a_mirrored_map_is_no_fault() -> None:
     # the coarsest bit of a power of two, flipped, mirrors the projector: any scene may be mirrored
     assert faults(SETS["noise"], (0, 1)) == []
 
@@ -124,13 +124,13 @@ def test_motion_and_flicker_are_measured(moved: tuple[float, float], flicker: fl
         assert 2 <= percent <= 4
 
 
-def test_slight_flicker_alone_is_no_motion() -> None:
+def test_slight_flicker_is_not_reported_as_motion() -> None:
     assert faults(shot((64, 64), (80, 80), 17, flicker=0.01)) == []
     [fault] = faults(shot((64, 64), (80, 80), 17, flicker=0.06))
     assert fault.kind == "flicker"
 
 
-def test_sizes_must_fit() -> None:
+def test_pictures_must_have_the_size_of_the_camera() -> None:
     given = SETS["noise"]
     with pytest.raises(InputError, match="expected"):
         faults_of(given.patterns, given.pictures, (80, 81), (64, 64), given.names)

@@ -34,7 +34,7 @@ def of_matrix(matrix: np.ndarray, shape: tuple[int, ...] = SHAPE) -> DenseTransp
     "kind",
     ["nothing masked", "another domain", "not symmetric", "filled", "neither row nor column"],
 )
-def test_nothing_to_fill(kind: str) -> None:
+def test_transports_that_cannot_be_filled_are_not_changed(kind: str) -> None:
     mask, transport = MASK, of_matrix(without_rows(symmetric()))
     random = np.random.default_rng(1).random((1, RAYS, RAYS)).astype(np.float32)
     if kind == "nothing masked":

@@ -117,7 +117,7 @@ def test_weights_agree_with_scipy_nnls(seed: int) -> None:
     np.testing.assert_allclose(actual, expected, rtol=1e-3, atol=1e-4)
 
 
-def test_neighbours_decide_between_two_places_with_equal_patterns() -> None:
+def test_neighbours_decide_between_two_positions_with_equal_patterns() -> None:
     side, place, equal_place = RayDomain((12, 12)), 5 * 12 + 5, 9 * 12 + 1
     patterns = (np.random.default_rng(0).random((side.size, 25)) < 0.5).astype(np.float32)
     patterns[:, 0], patterns[equal_place] = 1, patterns[place]
@@ -162,7 +162,7 @@ def test_mirrors_are_acquired_by_dual_photography_with_an_error_estimate() -> No
 
 
 @pytest.mark.slow
-def test_no_more_patterns_than_the_limit() -> None:
+def test_footprints_take_at_most_the_limit_of_patterns() -> None:
     shape = (16, 16)
     matrix = scene(shape, shape)
     # with the target of 0.5 only held-out pictures remain to be taken

@@ -69,7 +69,7 @@ def test_light_field_needs_two_rounds_for_2_percent() -> None:
 
 
 @pytest.mark.slow
-def test_cameras_apart_from_the_projectors() -> None:
+def test_views_of_separate_cameras_and_projectors_are_acquired() -> None:
     # two cameras and three projectors; one camera is upside down
     matrix = room().reshape(VIEWS, *IMAGE, -1)[[0, 2], ::-1].reshape(1, 240, 360)
     camera = (2, *IMAGE)

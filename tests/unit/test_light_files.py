@@ -66,7 +66,7 @@ def test_lists_of_lights_are_read(tmp_path: Path, text: str, encoding: str) -> N
         ([DECOMPOSED, "rot.jpg"], ["rot.tif", COMPOSED.upper()], [1, 0]),
     ],
 )  # fmt: skip
-def test_lines_belong_to_the_pictures_that_they_name(tmp_path, names, pictures, expected) -> None:
+def test_lines_are_assigned_to_the_named_pictures(tmp_path, names, pictures, expected) -> None:
     lights = np.random.default_rng(0).normal(size=(len(names), 3)).astype(np.float32)
     rows = zip(names, lights, strict=True)
     text = "".join(f"{name} {x:.9g} {y:.9g} {z:.9g}\n" for name, (x, y, z) in rows)
@@ -99,7 +99,7 @@ REFUSED = {
 
 
 @pytest.mark.parametrize(("text", "message"), REFUSED.values(), ids=REFUSED)
-def test_lists_that_are_wrong_are_refused(tmp_path: Path, text: str, message: str | None) -> None:
+def test_invalid_lists_are_refused(tmp_path: Path, text: str, message: str | None) -> None:
     path = written(tmp_path, text)
     with pytest.raises(InputError, match=message or "has no line for the picture b") as error:
         rfpipe.read_lights(path, PICTURES)
@@ -114,7 +114,7 @@ def test_lists_that_count_from_0_and_1_are_refused(tmp_path: Path) -> None:
         rfpipe.read_lights(path, ["a.tif", "a.jpg"])
 
 
-def test_directions_of_length_1_settle_which_numbers_they_are(tmp_path: Path) -> None:
+def test_directions_are_identified_by_their_length_of_1(tmp_path: Path) -> None:
     lights = np.float32([(0.6, 0, 0.8), (0, -0.6, 0.8), (0, 0, 1)])
     before = "".join(f"{i + 7} {x} {y} {z}\n" for i, (x, y, z) in enumerate(lights))
     after = "".join(f"{x} {y} {z} {i + 7}\n" for i, (x, y, z) in enumerate(lights))
@@ -133,7 +133,9 @@ def test_directions_of_length_1_settle_which_numbers_they_are(tmp_path: Path) ->
         ("light_directions.txt", "."), ("dome.lp", ".."),
     ],
 )  # fmt: skip
-def test_places_of_lists(tmp_path: Path, name: str, below: str) -> None:
+def test_lists_are_found_next_to_or_above_the_pictures(
+    tmp_path: Path, name: str, below: str
+) -> None:
     folder = tmp_path / "cat"
     (folder / "pictures").mkdir(parents=True)
     assert lights_in(folder, PICTURES, parent=True) is None
@@ -195,7 +197,7 @@ def test_intensities_in_the_order_of_the_lights(tmp_path: Path, text: str, expec
     ],
 )
 @pytest.mark.parametrize("lights", [None, "a 0 0 1\nb 0 1 1\nc 1 0 1\n"])
-def test_intensities_that_are_wrong_are_refused(tmp_path: Path, text, message, lights) -> None:
+def test_invalid_intensities_are_refused(tmp_path: Path, text, message, lights) -> None:
     written(tmp_path, text, "light_intensities.txt")
     if lights:
         written(tmp_path, lights)

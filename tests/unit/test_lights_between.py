@@ -84,7 +84,7 @@ def test_weights_of_a_constant_map_add_up_to_the_sphere(count: int) -> None:
         np.testing.assert_allclose(weights.sum(axis=0), 4 * np.pi * np.array([1, 2, 3]), rtol=1e-5)
 
 
-def test_lights_of_one_side_leave_the_other_dark() -> None:
+def test_directions_far_from_all_lights_stay_dark() -> None:
     lights = sphere_of_lights(40, 0.0)
     transport = transport_of(ball(lights)[0], lights)
     assert transport.light_from([0, 0, 1]).mean() > 0.1

@@ -70,7 +70,7 @@ def error(result: AcquisitionResult, matrix: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("method", [*ROWS, *SYMMETRIC])
-def test_defects_stay_local_and_are_filled_in(method: str) -> None:
+def test_defects_affect_only_their_pixels_and_are_filled_in(method: str) -> None:
     matrix = matrix_iv()
     good = acquire(rig_of(matrix), method, progress=False)
     bad = acquire(BadPixels(rig_of(matrix), HOT, DEAD), method, progress=False)
@@ -96,7 +96,7 @@ def test_defects_stay_local_and_are_filled_in(method: str) -> None:
     assert np.isfinite(bad.history["estimated_error"]).all()
 
 
-def test_unknown_pixels_are_no_error_that_a_target_is_missed_by() -> None:
+def test_unknown_pixels_do_not_count_as_error() -> None:
     rig = BadPixels(rig_of(matrix_iv()), HOT, DEAD)
     result = acquire(rig, "near_far", target_error=0.01, progress=False)
     np.testing.assert_array_equal(result.masked, BAD)
@@ -104,7 +104,7 @@ def test_unknown_pixels_are_no_error_that_a_target_is_missed_by() -> None:
 
 
 @pytest.mark.parametrize("method", ["dual", "symmetric"])
-def test_pixels_that_see_empty_space_are_left_as_they_are(method: str) -> None:
+def test_pixels_that_see_empty_space_are_not_masked(method: str) -> None:
     matrix = matrix_iv()
     empty = np.ravel_multi_index(np.transpose([(5, 5), (9, 2), (9, 3)]), SHAPE)
     matrix[empty] = matrix[:, empty] = 0
@@ -114,7 +114,7 @@ def test_pixels_that_see_empty_space_are_left_as_they_are(method: str) -> None:
     np.testing.assert_array_equal(pictures(result.transport), pictures(plain.transport))
 
 
-def test_a_rig_that_is_not_coaxial_has_nothing_to_fill_in_from() -> None:
+def test_defects_of_a_noncoaxial_rig_are_not_filled_in() -> None:
     matrix = matrix_iv()[:, np.random.default_rng(0).permutation(SIDE**2)]
     result = acquire(BadPixels(rig_of(matrix), HOT, DEAD), "brute_force", progress=False)
     estimate = dense(result.transport)[0]
@@ -122,7 +122,7 @@ def test_a_rig_that_is_not_coaxial_has_nothing_to_fill_in_from() -> None:
     assert relative_rms(estimate[~BAD.ravel()], matrix[~BAD.ravel()]) < 0.01
 
 
-def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
+def test_a_mosaic_masks_the_neighbours_of_a_hot_photosite() -> None:
     rig = OperatorRig(scene_matrices("IV", (8, 8), 3), (8, 8), (8, 8), CameraConfig(bayer="RGGB"))
 
     class HotPhotosite(BadPixels):
@@ -138,7 +138,7 @@ def test_a_mosaic_hides_the_neighbours_of_a_hot_photosite() -> None:
     assert np.isfinite(dense(result.transport)).all()
 
 
-def test_no_significance_asked_of_unknown_pixels_gives_none() -> None:
+def test_a_noise_significance_of_0_gives_finite_transport() -> None:
     matrix = matrix_iv()
     rig = BadPixels(rig_of(matrix), HOT, DEAD)
     for method in ("dual", "symmetric"):
@@ -146,7 +146,7 @@ def test_no_significance_asked_of_unknown_pixels_gives_none() -> None:
         assert np.isfinite(dense(result.transport)).all()
 
 
-def test_a_whole_corner_may_be_unknown() -> None:
+def test_a_corner_of_the_image_may_be_unknown() -> None:
     matrix = matrix_iv()
     corner = [(row, column) for row in range(4) for column in range(4)]
     result = acquire(BadPixels(rig_of(matrix), corner, []), "symmetric", progress=False)

@@ -19,7 +19,7 @@ BOTH = pytest.mark.parametrize("make", [scan, leaves])
 @BOTH
 @pytest.mark.parametrize("rows", [None, [3], [5, 1], slice(2, 9, 3)])
 @pytest.mark.parametrize("columns", [None, [23, 0], slice(0, 24)])
-def test_some_rows_and_columns(make, rows, columns) -> None:
+def test_selected_rows_and_columns_equal_the_matrix(make, rows, columns) -> None:
     transport, matrix = make()
     chosen = matrix[:, slice(None) if rows is None else rows]
     chosen = chosen[:, :, slice(None) if columns is None else columns]
@@ -29,7 +29,7 @@ def test_some_rows_and_columns(make, rows, columns) -> None:
 @BOTH
 @pytest.mark.parametrize("dual", [False, True])
 @pytest.mark.parametrize("shape", [(), (1,), (4,), (1, 4), (3, 4)])
-def test_products_are_numpy_s(make, dual: bool, shape: tuple[int, ...]) -> None:
+def test_products_equal_those_of_numpy(make, dual: bool, shape: tuple[int, ...]) -> None:
     transport, matrix = make()
     lit = transport.T if dual else transport
     matrix = matrix.swapaxes(1, 2) if dual else matrix
@@ -51,7 +51,7 @@ def test_products_reject_values_that_are_not_finite_numbers() -> None:
 
 
 @pytest.mark.parametrize("rows", [[15], [], slice(9, 2), [0.5], np.ones((5, 5), bool)])
-def test_rays_that_aren_t_there(rows) -> None:
+def test_missing_rays_are_rejected(rows) -> None:
     with pytest.raises(InputError, match="rows: "):
         scan()[0].toarray(rows=rows)
 

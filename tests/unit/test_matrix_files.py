@@ -36,12 +36,12 @@ def read(path: Path, **options):
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_channels_may_stand_anywhere(tmp_path: Path, axis: int) -> None:
+def test_channels_may_be_on_any_axis(tmp_path: Path, axis: int) -> None:
     np.save(tmp_path / "t.npy", np.moveaxis(T, 0, axis))
     np.testing.assert_array_equal(read(tmp_path / "t.npy"), T)
 
 
-def test_numpy_and_scipy_archives(tmp_path: Path) -> None:
+def test_numpy_and_scipy_archives_are_read(tmp_path: Path) -> None:
     np.savez(tmp_path / "two.npz", light=T, notes=3)
     np.testing.assert_array_equal(read(tmp_path / "two.npz", dataset="light"), T)
     with pytest.raises(InputError, match=r"holds light, notes; name one as dataset"):
@@ -50,7 +50,7 @@ def test_numpy_and_scipy_archives(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path / "sparse.npz"), T[:1])
 
 
-def test_matlab_files_of_either_kind(tmp_path: Path) -> None:
+def test_both_kinds_of_matlab_files_are_read(tmp_path: Path) -> None:
     scipy.io.savemat(tmp_path / "old.mat", {"T": np.moveaxis(BY_COLUMNS, 0, -1)})
     np.testing.assert_array_equal(read(tmp_path / "old.mat", order="columns"), T)
     scipy.io.savemat(tmp_path / "sparse.mat", {"T": sparse.csc_array(T[1])})
@@ -64,7 +64,7 @@ def test_matlab_files_of_either_kind(tmp_path: Path) -> None:
         read(tmp_path / "v73.mat", dataset="S")
 
 
-def test_hdf5_and_zarr_with_channels_of_their_own(tmp_path: Path) -> None:
+def test_hdf5_and_zarr_with_separate_channels_are_read(tmp_path: Path) -> None:
     with h5py.File(tmp_path / "t.h5", "w") as file:
         for index, channel in enumerate(T):
             file[f"c{index}"] = channel
@@ -73,7 +73,7 @@ def test_hdf5_and_zarr_with_channels_of_their_own(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read(tmp_path / "t.zarr"), T)
 
 
-def test_a_transport_of_rfpipe(tmp_path: Path) -> None:
+def test_a_stored_transport_is_a_scene(tmp_path: Path) -> None:
     result = acquire(OperatorRig(T, CAMERA, PROJECTOR), "brute_force", progress=False).transport
     save_transport(result, tmp_path / "t.zarr")
     settings = {"file": str(tmp_path / "t.zarr"), "shape": PROJECTOR, "camera_shape": CAMERA}
@@ -200,15 +200,15 @@ class TestMatrixScene(SceneContract):
         settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "brightest": 1.5}
         return scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
 
-    def test_it_is_scaled(self) -> None:
+    def test_the_matrix_is_scaled(self) -> None:
         assert self.make_scene().apply(np.ones((1, 18))).max() == pytest.approx(1.5)
 
-    def test_channels_must_be_those_of_the_settings(self) -> None:
+    def test_channels_must_agree_with_the_settings(self) -> None:
         settings = {"shape": PROJECTOR, "camera_shape": CAMERA, "channels": 1}
         with pytest.raises(InputError, match=r"has 3 channels.*Set it to 3"):
             scene_from_config(SceneSettings.of("matrix", file=str(self.path), **settings))
 
-    def test_negative_entries(self) -> None:
+    def test_negative_entries_are_refused(self) -> None:
         np.save(self.path, np.where(T > 0.01, T, -0.01))
         with pytest.raises(InputError, match="finite and not negative"):
             self.make_scene()

@@ -135,7 +135,7 @@ def test_resources_use_fewer_threads_where_memory_is_short(tmp_path: Path) -> No
             assert pieces == [(1, 2), (2, 3)]
 
 
-def test_the_variance_of_the_floodlit_image_is_that_of_the_mean() -> None:
+def test_the_floodlit_image_has_the_variance_of_a_mean() -> None:
     image = generator(5).uniform(0.2, 1, IMAGE).astype(np.float32)
     off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
     on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])

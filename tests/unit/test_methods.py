@@ -91,19 +91,19 @@ class Broken(BruteForce):
         (lambda matrix: 3 * matrix, "light_is_finite_and_bounded", "of light became"),
     ],
 )
-def test_the_contract_finds_what_is_wrong(change: Any, test: str, message: str) -> None:
+def test_the_contract_detects_violations(change: Any, test: str, message: str) -> None:
     suite: Any = MethodContract()
     suite.floodlit_error, suite.make_method = 1.0, lambda: Broken(change)
     with pytest.raises(AssertionError, match=message):
         getattr(suite, f"test_{test}")()
 
 
-def test_every_method_that_is_installed_is_tested_here() -> None:
+def test_every_installed_method_is_tested_here() -> None:
     suites = MethodContract.__subclasses__()
     assert {suite().make_method().name for suite in suites} >= set(NAMES)
 
 
-def test_methods_are_told_apart() -> None:
+def test_methods_differ_in_title_colour_and_marker() -> None:
     methods = [get_method(name) for name in NAMES]
     assert [method.name for method in methods] == list(NAMES)
     assert len({method.title for method in methods}) == len(NAMES) == 7
@@ -111,7 +111,7 @@ def test_methods_are_told_apart() -> None:
     assert len({method.marker for method in methods}) == len(NAMES)
 
 
-def test_a_method_is_what_derives_from_method() -> None:
+def test_unknown_names_and_other_objects_than_methods_are_refused() -> None:
     with pytest.raises(InputError, match=r"'duel' is unknown; did you mean dual\? Expected one of"):
         get_method("duel")
     with pytest.raises(InputError, match=r"derived from rfpipe\.methods\.Method"):

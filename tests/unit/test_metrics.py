@@ -40,7 +40,7 @@ def test_colour_difference_of_greys_follows_lightness():
     assert colour_difference(image(2.0), image(4.0), white=4.0) == pytest.approx(expected, rel=1e-3)
 
 
-def test_colour_difference_of_rgb_sees_hue_and_takes_negative_light_as_none():
+def test_colour_difference_depends_on_hue_and_clips_negative_light():
     red, dark = np.array([[[1.0, 0.0, 0.0]]]), np.array([[[0.0, 0.0, 0.0]]])
     assert colour_difference(red, red[..., ::-1], white=1.0) > 20
     assert colour_difference(dark - 1e-3, dark, white=1.0) == 0

@@ -41,14 +41,14 @@ def test_coloured_pictures_find_the_order(order: str) -> None:
 
 
 @pytest.mark.parametrize("order", ORDERS)
-def test_greens_leave_two_orders(order: str) -> None:
+def test_green_pixels_leave_two_possible_orders(order: str) -> None:
     orders = mosaic_of(pictures(order)[0], None).orders
     assert order in orders
     assert len(orders) == 2
     assert {candidate[0] in "RB" for candidate in orders} == {order[0] in "RB"}
 
 
-def test_an_order_that_light_does_not_show_is_unknown() -> None:
+def test_an_order_that_the_light_does_not_reveal_is_unknown() -> None:
     grey = np.ones(3)
     assert mosaic_of(pictures("RGGB", grey)[0], None).orders == ORDERS
     white, _ = pictures("RGGB")
@@ -73,7 +73,7 @@ def scene_of(said: str, true: str, *, has_colours: bool) -> Findings:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("said", ORDERS)
-def test_a_wrong_order_is_not_good_and_the_right_one_is_named(said: str) -> None:
+def test_a_wrong_order_is_not_good_and_the_correct_one_is_named(said: str) -> None:
     verdict = scene_of(said, "RGGB", has_colours=True).verdict
     if said == "RGGB":
         assert verdict.standing == "good"
@@ -84,7 +84,7 @@ def test_a_wrong_order_is_not_good_and_the_right_one_is_named(said: str) -> None
 
 
 @pytest.mark.slow
-def test_without_colours_the_greens_leave_two_orders() -> None:
+def test_without_coloured_light_two_orders_are_possible() -> None:
     assert (
         "Set sensor.bayer to RGGB or BGGR"
         in scene_of("GRBG", "RGGB", has_colours=False).verdict.text

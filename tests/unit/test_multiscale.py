@@ -53,7 +53,7 @@ def test_weights_are_b_splines_about_the_centres(shape: tuple[int, ...]) -> None
     assert basis.weights.dtype == basis.sums.dtype == np.float32
 
 
-def test_functions_of_a_scale_come_where_they_are_wanted() -> None:
+def test_functions_of_a_scale_cover_the_selected_cells() -> None:
     covered = np.zeros(cells((12, 16), 4), np.bool_)
     assert covered.shape == (1, 3, 4)
     covered[0, 1, 2] = True

@@ -181,7 +181,7 @@ def test_keys_of_rounds_depend_on_phase_and_index_alone() -> None:
 
 @pytest.mark.parametrize("limit", [1, 7, 8, 14, 30])
 @pytest.mark.parametrize("case", ["prime_sides", "mirror"])
-def test_shows_no_more_patterns_than_the_limit(case: str, limit: int) -> None:
+def test_near_far_takes_at_most_the_limit_of_patterns(case: str, limit: int) -> None:
     scene = CASES[case]()
     rig = OperatorRig(scene, scene.shape, scene.shape)
     result = acquire(rig, "near_far", progress=False, patterns=limit, target_error=1e-5)
@@ -200,7 +200,7 @@ def test_shows_no_more_patterns_than_the_limit(case: str, limit: int) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 @pytest.mark.filterwarnings("error::RuntimeWarning")
-def test_ends_at_its_target_on_hard_cases(name: str) -> None:
+def test_hard_cases_end_at_the_target(name: str) -> None:
     scene = CASES[name]()
     if name == "asymmetric_alignment":
         with pytest.raises(CaptureError, match="the transport is not symmetric"):
@@ -217,7 +217,7 @@ def test_ends_at_its_target_on_hard_cases(name: str) -> None:
 
 
 @pytest.mark.parametrize("sigma", [0.0, 1e-4])
-def test_acquires_a_stack_of_views(sigma: float) -> None:
+def test_a_stack_of_views_is_acquired(sigma: float) -> None:
     matrix = smooth_views()
     done = acquire_matrix(NearFar(), matrix, (2, 3, 5), (2, 3, 5), sigma=sigma)
     assert np.isfinite(dense(done.transport)).all()

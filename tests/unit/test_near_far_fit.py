@@ -11,7 +11,7 @@ from rfpipe.methods.near_far.model import near_far_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
 
 
-def test_fits_each_channel_and_leaves_dark_channels_dark() -> None:
+def test_each_channel_is_fitted_and_dark_channels_stay_dark() -> None:
     shape = (24, 24)
     matrix = scene_matrices("IV", shape, 3)
     matrix[2] = 0

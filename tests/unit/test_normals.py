@@ -28,7 +28,7 @@ def test_normals_of_a_ball_in_shadow_and_highlight(gloss: float, max_degrees: fl
     assert np.median(result.albedo[result.mask]) == pytest.approx(0.6, rel=0.05)
 
 
-def test_uncertainty_is_that_of_noise() -> None:
+def test_the_uncertainty_equals_the_error_of_noise() -> None:
     lights = sphere_of_lights(20, 0.3)
     pictures, normals = ball(lights, 48, gloss=0)
     noisy = pictures + 0.03 * RANDOM.standard_normal(pictures.shape).astype(np.float32)

@@ -30,7 +30,7 @@ def test_exchanged_and_copied_pictures_are_named(takes: list[int], message: list
 
 
 @pytest.mark.parametrize("turn", list(TURNS)[1:])
-def test_turned_pictures_say_how_they_fit(turn: str) -> None:
+def test_messages_about_turned_pictures_name_the_rotation(turn: str) -> None:
     (inverse,) = (
         name
         for name, transform in TURNS.items()

@@ -79,7 +79,7 @@ def test_frames_under_a_mosaic_have_no_channels() -> None:
         camera.frame_shape((1, 5), 3)
 
 
-def test_blur_keeps_light_and_flat_fields_and_views_apart() -> None:
+def test_blur_conserves_light_and_does_not_mix_views() -> None:
     image = np.zeros((2, 9, 11, 3), np.float32)
     image[0, 0, 5, 1] = 1  # at the border, in one view and channel
     blurred = apply_optics(image, 1.5, 0.0, 0.0)
@@ -108,7 +108,7 @@ def test_flare_spreads_a_fraction_of_each_views_light() -> None:
     np.testing.assert_allclose(spread[1, 2, 3, 0], 0.9 * 20 + 0.1, rtol=1e-6)
 
 
-def test_a_white_level_below_full_scale() -> None:
+def test_a_white_level_below_full_scale_limits_the_counts() -> None:
     camera = CameraModel(bits=14, black_level_counts=600, white_level_counts=15_300)
     assert camera.white_level == 15_300
     assert camera.electrons_per_count == 20_000 / 14_700
@@ -120,7 +120,7 @@ def test_a_white_level_below_full_scale() -> None:
 
 
 @pytest.mark.parametrize("sensor", [ExactSensor(), CameraModel()], ids=["exact", "camera"])
-def test_negative_rounding_of_an_operator_is_darkness(sensor: ExactSensor | CameraModel) -> None:
+def test_slightly_negative_radiance_is_black(sensor: ExactSensor | CameraModel) -> None:
     image = flat(1.0, (4, 5, 3))
     image[2, 3, 1] = -1e-6
     dark = image.copy()

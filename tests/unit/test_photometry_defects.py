@@ -49,7 +49,7 @@ def test_surfaces_without_reflection_are_not_defects(bayer: str | None) -> None:
 
 
 @pytest.mark.parametrize("black", [0, 64])
-def test_constant_counts_say_nothing_where_steps_hide_the_noise(black: int) -> None:
+def test_constant_counts_are_no_defect_if_rounding_hides_the_noise(black: int) -> None:
     quiet = {"read_noise_electrons": 0.2, "dark_current_electrons": 0.0}
     camera = replace(CAMERA, black_level_counts=black, **quiet)
     image = texture()
@@ -59,7 +59,7 @@ def test_constant_counts_say_nothing_where_steps_hide_the_noise(black: int) -> N
     assert not defects_of(off, lit, camera).mask.any()
 
 
-def test_a_black_level_of_zero_cuts_noise_off() -> None:
+def test_a_black_level_of_zero_clips_noise() -> None:
     camera = replace(CAMERA, black_level_counts=0, read_noise_electrons=15.0)
     image = texture((80, 90, 3))
     image[8:20, 9:30] = 0
@@ -81,7 +81,7 @@ def test_hot_and_noisy_pixels_and_a_dead_channel() -> None:
 
 @pytest.mark.parametrize("value", [0, 64, 4095])
 @pytest.mark.parametrize("pixel", [(5, 6), (0, 0), (39, 20)])
-def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
+def test_stuck_pixels_are_found(value: int, pixel: tuple[int, int]) -> None:
     off, lit = capture(CAMERA, texture())
     off[(..., *pixel, slice(None))] = value
     lit[(..., *pixel, slice(None))] = value
@@ -90,7 +90,7 @@ def test_stuck_pixels(value: int, pixel: tuple[int, int]) -> None:
     assert defects.hot + defects.dead == 1
 
 
-def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
+def test_a_dead_photosite_also_masks_its_neighbours() -> None:
     camera = replace(CAMERA, bayer="RGGB")
     off, lit = capture(camera, texture())
     lit[:, 8, 9] = off[:, :, 8, 9] = 65
@@ -101,7 +101,7 @@ def test_a_dead_photosite_takes_its_neighbours_with_it() -> None:
     assert defects.mask.sum() == 9
 
 
-def test_statistics_of_dark_frames_that_pass_by() -> None:
+def test_statistics_of_dark_frames_are_accumulated_in_batches() -> None:
     frames = (4000 + np.random.default_rng(0).integers(-9, 9, (7, 2, 4, 5, 3))).astype(np.uint16)
     dark = DarkFrames()
     for first, last in ((0, 1), (1, 4), (4, 7)):
@@ -124,7 +124,7 @@ def floodlit(radiance: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return merged.radiance[0], merged.variance[0]
 
 
-def test_a_floodlit_image_with_light() -> None:
+def test_a_floodlit_image_must_have_light() -> None:
     check_floodlit(*floodlit(np.full((20, 30, 3), 1e-4, np.float32)))
     spot = np.zeros((50, 60, 3), np.float32)
     spot[4, 5] = 0.01  # a few lit pixels don't show in the sum

@@ -43,7 +43,7 @@ def test_merge_is_unbiased_and_states_its_variance(radiance: float, camera: Came
     assert merged.radiance.std() == pytest.approx(deviation, rel=0.05 if radiance else 0.1)
 
 
-def test_weights_from_the_pooled_estimate_are_unbiased_and_the_best() -> None:
+def test_weights_from_the_pooled_estimate_are_unbiased_and_optimal() -> None:
     """Weighting each exposure by its own noisy count pulls dark samples towards zero."""
     collection = np.array([4.0, 6.0, 9.0])  # electrons at a radiance of 1
     noise = np.float32(1.0)
@@ -86,7 +86,7 @@ def test_black_level_is_subtracted_before_the_merge() -> None:
     assert shifted.variance.mean() > 1.2 * plain.variance.mean()
 
 
-def test_saturated_everywhere_gives_the_clipped_value_sure_to_be_light_but_not_how_much() -> None:
+def test_a_completely_saturated_sample_has_the_clipped_value_and_infinite_variance() -> None:
     image = flat(0.1, (6, 7, 3))
     image[2, 3, 1] = 50
     merged = take(CAMERA, image)
@@ -119,7 +119,7 @@ def test_counts_near_full_scale_are_saturated() -> None:
     assert CAMERA.merge(frames, np.zeros(frames.shape[1:])).saturated == 1
 
 
-def test_merge_of_no_brackets() -> None:
+def test_no_brackets_merge_to_empty_arrays() -> None:
     image = flat(0.0, (4, 5, 3))
     for sensor in (CAMERA, replace(CAMERA, bayer="RGGB"), ExactSensor()):
         shape = sensor.frame_shape((4, 5), 3)

@@ -27,7 +27,7 @@ def gain(
 
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
-def test_each_channel_is_scaled_for_itself_or_gets_its_part_of_an_images_energy(mode: Mode) -> None:
+def test_channels_are_scaled_separately_or_by_the_energy_of_the_image(mode: Mode) -> None:
     images, floodlit = dimmed()
     corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, mode))
     energy = images if mode == "per_channel" else images.sum(axis=-1, keepdims=True)  # E_p
@@ -35,7 +35,7 @@ def test_each_channel_is_scaled_for_itself_or_gets_its_part_of_an_images_energy(
 
 
 @pytest.mark.parametrize(("mode", "complete"), [("none", True), ("total_energy", False)])
-def test_not_applied_where_not_asked_for_or_where_the_level_leaves_rays_dark(
+def test_normalization_is_skipped_if_disabled_or_if_rays_stay_dark(
     mode: Mode, complete: bool
 ) -> None:
     images, floodlit = dimmed()
@@ -50,7 +50,7 @@ def test_not_applied_where_not_asked_for_or_where_the_level_leaves_rays_dark(
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
 @pytest.mark.parametrize("total", [0.0, 1e-30, -0.2, 0.02, 0.3])
-def test_untouched_where_the_sum_is_zero_or_within_noise(mode: Mode, total: float) -> None:
+def test_pixels_with_a_sum_within_noise_are_not_changed(mode: Mode, total: float) -> None:
     images, floodlit = dimmed()
     images[:, 2, 3] = total / len(images)
     variance = np.full(SHAPE, 0.0 if total < 0.01 else 0.2**2)
@@ -60,7 +60,7 @@ def test_untouched_where_the_sum_is_zero_or_within_noise(mode: Mode, total: floa
 
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
-def test_untouched_where_the_floodlit_image_is_black_or_unknown(mode: Mode) -> None:
+def test_pixels_with_black_or_unknown_floodlit_light_are_not_changed(mode: Mode) -> None:
     images, floodlit = dimmed()
     floodlit_variance = np.zeros(SHAPE)
     floodlit[0, 0] = -0.1
@@ -73,7 +73,7 @@ def test_untouched_where_the_floodlit_image_is_black_or_unknown(mode: Mode) -> N
     assert normalization.covered[1:].all()
 
 
-def test_a_channel_without_light_stays_without() -> None:
+def test_a_channel_without_light_stays_dark() -> None:
     images, floodlit = dimmed()
     images[..., 2] = np.random.default_rng(1).normal(0, 1e-3, images.shape[:-1])
     floodlit[..., 2] = np.random.default_rng(2).normal(0, 1e-3, SHAPE[:-1])
@@ -111,7 +111,7 @@ def spots() -> np.ndarray:
     return images
 
 
-def test_fig_b_1_the_sum_of_single_pixels_is_pale_and_normalization_mends_it() -> None:
+def test_normalization_restores_the_colours_of_fig_b_1() -> None:
     """The sum is correct without normalization; the colours of single images are not."""
     light = spots()
     images, _ = demosaic(mosaic(light, "RGGB"), np.ones(light.shape[:-1], np.float32), "RGGB")

@@ -97,7 +97,7 @@ def rendered(
 
 
 @pytest.mark.parametrize("name", ["two_blocks_aside", "glossy_metal", "translucent"])
-def test_recorded_light_is_what_mitsuba_renders(tmp_path: Path, name: str) -> None:
+def test_recorded_light_equals_mitsubas_renderings(tmp_path: Path, name: str) -> None:
     scene = scene_of(tmp_path, WORLDS[name], samples=1024, caustics=False)
     picture, expected = half_lit(scene), rendered(scene, half_pattern(scene))
     assert picture.sum() == pytest.approx(expected.sum(), rel=0.01)

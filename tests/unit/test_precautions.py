@@ -62,7 +62,7 @@ def test_a_real_rig_is_watched_and_verified(
     assert kinds_of(real.keys) == kinds
 
 
-def test_a_simulated_rig_is_not_unless_that_is_asked_for() -> None:
+def test_a_simulated_rig_is_watched_and_verified_only_on_request() -> None:
     simulated = Knocked(wedge(), wedge(), 10_000, CameraModel())
     assert is_simulated(simulated)
     assert rfpipe.acquire(simulated, "dual", **FEW).verification is None
@@ -84,9 +84,7 @@ def test_a_camera_that_moves_ends_an_acquisition() -> None:
 
 
 @pytest.mark.parametrize("kind", PRECAUTIONS)
-def test_one_place_decides_for_runs_and_for_acquire(
-    kind: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_runs_and_acquire_use_the_same_defaults(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     vase = {"kind": "captured", "shape": [8, 8]}
     settings = settings_of_a_plane() if kind == "simulated" else parse_config(
         {"scenes": {"plane": vase}, "methods": {"dual": {}}, "capture": {"rig": kind}}, "c"

@@ -358,7 +358,7 @@ def test_a_damaged_or_foreign_transport_is_not_published(run: Path) -> None:
     assert not (run / "publication.zip").exists()
 
 
-def test_settings_are_given_for_a_run_without_a_report(run: Path, tmp_path: Path) -> None:
+def test_publishing_a_run_without_a_report_needs_its_settings(run: Path, tmp_path: Path) -> None:
     settings_path = tmp_path / "other.yaml"
     settings_path.write_text(
         yaml.safe_dump(known_matrix.settings_of_a_plane(seed=7).model_dump(mode="json"))

@@ -56,7 +56,7 @@ def test_probes_light_bands_of_equal_range_together() -> None:
 
 
 @pytest.mark.parametrize("shape", [(48, 48), (2, 13, 31), (1, 5), (200, 220)])
-def test_blocks_consist_of_cells_and_have_one_size_a_pattern(shape: tuple[int, ...]) -> None:
+def test_blocks_consist_of_cells_and_have_one_size_per_pattern(shape: tuple[int, ...]) -> None:
     cells = residual_cells(shape)
     patterns = block_patterns(cells, 9, 8)
     assert patterns.shape == (8, *shape)

@@ -33,7 +33,7 @@ def test_the_larger_of_tolerance_and_fluctuation_is_added_to_the_noise() -> None
 
 
 @pytest.mark.parametrize("tests", [1, 100, 100_000])
-def test_the_probability_that_noise_passes_for_light_does_not_depend_on_the_number_of_tests(
+def test_the_probability_of_accepting_noise_does_not_depend_on_the_number_of_tests(
     tests: int,
 ) -> None:
     limits = Limits(tolerance=0.0, significance=3.0, tests=tests)

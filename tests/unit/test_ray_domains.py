@@ -28,7 +28,7 @@ def matrix() -> NDArray[np.float64]:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_a_method_finds_the_same_however_views_are_arranged(method, matrix, tmp_path):
+def test_the_arrangement_of_views_does_not_change_the_transport(method, matrix, tmp_path):
     stacked, arranged = (
         acquire(OperatorRig(matrix, shape, shape, CameraModel(), seed=3), method, progress=False)
         for shape in (STACKED, ARRANGED)
@@ -44,7 +44,7 @@ def test_a_method_finds_the_same_however_views_are_arranged(method, matrix, tmp_
     assert image.shape == (*ARRANGED, 1)
 
 
-def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):
+def test_pictures_of_arranged_views_equal_those_of_a_stack(matrix):
     transport = acquire(OperatorRig(matrix, ARRANGED, ARRANGED), progress=False).transport
     arrays = relit_arrays(transport, MatrixScene(matrix, ARRANGED, ARRANGED))
     assert arrays["relit"].shape == (6, *ARRANGED, 1)
@@ -56,7 +56,7 @@ def test_pictures_of_arranged_views_are_those_of_a_stack(matrix):
     assert relative_rms(arrays["views_relit"], arrays["views_truth"]) < 0.02
 
 
-def test_patterns_light_the_same_rays_however_views_are_arranged():
+def test_the_arrangement_of_views_does_not_change_the_patterns():
     arranged, stacked = relighting_patterns(ARRANGED), relighting_patterns(STACKED)
     assert list(arranged) == list(stacked)
     for name, pattern in arranged.items():

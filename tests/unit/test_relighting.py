@@ -30,14 +30,14 @@ def test_each_kind_has_a_third_of_the_pictures():
     assert {min(sides), max(sides)} == {2, SIDE // 8}
 
 
-def test_fewer_pictures_are_the_first_of_more_and_a_seed_draws_others():
+def test_the_first_pictures_do_not_depend_on_their_number():
     four, eleven = relighting_pictures((9, 13), 4, 5), relighting_pictures((9, 13), 11, 5)
     np.testing.assert_array_equal(four, eleven[:4])
     assert (relighting_pictures((9, 13), 4, 6) != four).any()
     assert relighting_pictures((9, 13), 0).shape == (0, 9, 13)
 
 
-def test_views_get_the_same_picture_all_of_them_or_one():
+def test_all_views_or_one_view_get_the_same_picture():
     views = relighting_pictures((3, 9, 13), 6, 1)
     assert views.shape == (6, 3, 9, 13)
     single = relighting_pictures((9, 13), 6, 1)
@@ -49,7 +49,7 @@ def test_views_get_the_same_picture_all_of_them_or_one():
 
 
 @pytest.mark.parametrize("shape", [(1, 1), (1, 7), (3, 2), (2, 1, 1)])
-def test_the_smallest_domains_are_lit_too(shape):
+def test_the_smallest_domains_have_pictures(shape):
     drawn = relighting_pictures(shape, 9).reshape(9, -1)
     assert drawn.shape[1] == np.prod(shape)
     assert (drawn.max(axis=1) == 1).all()
@@ -70,7 +70,7 @@ PATTERNS = relighting_pictures((6, 8), 9)
 WHITE = relit(scene(), np.ones((1, 6, 8)))[0]
 
 
-def test_the_truth_has_no_error_and_a_brighter_one_that_of_its_gain():
+def test_the_error_of_a_brighter_picture_is_its_gain():
     truth = relit(scene(), PATTERNS)
     for errors in picture_errors(truth, truth, PATTERNS, WHITE, PATTERNS == 0):
         assert (errors == 0).all()
@@ -91,7 +91,7 @@ def test_the_error_of_a_dark_spot_is_relative_to_typical_spots():
     assert indirect[0] == 0  # no picture sends any light to its dark pixels
 
 
-def test_the_indirect_error_is_of_the_dark_pixels_and_relative_to_the_light_there():
+def test_the_indirect_error_is_relative_to_the_light_of_unlit_pixels():
     truth, dark = relit(scene(), PATTERNS), PATTERNS == 0
     half = relit(scene() - 0.5 * 0.01 * np.outer(*2 * [np.diag(scene())]), PATTERNS)
     total, indirect = picture_errors(half, truth, PATTERNS, WHITE, dark)

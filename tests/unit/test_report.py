@@ -89,7 +89,7 @@ def test_the_page_is_self_contained_and_names_rows_and_columns(page):
 
 
 @pytest.mark.parametrize("width", [1280, 1920])
-def test_it_fits_a_screen_and_begins_with_the_results(chromium, results, width):
+def test_the_page_fits_a_screen_and_begins_with_the_results(chromium, results, width):
     screen = chromium.new_page(viewport={"width": width, "height": 1000})
     screen.goto(f"file://{results}/report/index.html")
     assert screen.evaluate("document.documentElement.scrollWidth") <= width
@@ -233,7 +233,7 @@ def test_a_light_field_shows_its_middle_view(tmp_path):
     assert field.middle(np.arange(6).reshape(6, 1, 1, 1)).item() == 4
 
 
-def test_it_begins_with_a_table_and_each_scene_with_its_truth(results, inputs):
+def test_the_report_begins_with_a_table_and_each_scene_with_its_truth(results, inputs):
     first, second = make_sections(inputs)[:2]
     assert (first.anchor, second.anchor) == ("glance", "speed")
     table, gallery = first.blocks
@@ -353,7 +353,7 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
 
 
-def test_it_lists_choices_of_scenes_and_omitted_light(tmp_path):
+def test_the_report_lists_choices_of_scenes_and_omitted_light(tmp_path):
     choice = {"setting": "caustics", "value": True, "reason": "by ball (SmoothDielectric)"}
     light = {"choices": [choice], "omissions": ["light that ball throws is missing"]}
     arrays = relight.relit_arrays(aside_transport(), Aside())

@@ -45,7 +45,7 @@ def black_of(sensor: CameraModel, channels: int, count: int = 4) -> np.ndarray:
     return np.mean(frames, axis=0).astype(np.float32)
 
 
-def test_merge_is_merge_then_resampling() -> None:
+def test_merging_rays_equals_resampling_of_merged_pixels() -> None:
     resampling = random_resampling()
     sensor = ResampledSensor(CAMERA, resampling)
     light = np.random.default_rng(2).random((*CAMERA_SHAPE, 3), np.float32)
@@ -93,7 +93,7 @@ def test_an_invisible_ray_has_no_light_and_causes_no_error() -> None:
     assert merger.floodlit.shape == (*SHAPE, 1)
 
 
-def test_defective_pixels_have_no_share() -> None:
+def test_defective_pixels_have_no_weight() -> None:
     resampling = random_resampling()
     mask = np.zeros(CAMERA_SHAPE, bool)
     mask[2, 3:6] = True

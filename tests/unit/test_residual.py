@@ -139,7 +139,7 @@ def exact_pictures(
     ("side", "unknown_pixels", "coaxial"),
     [(1, 0, True), (1, 20, True), (2, 0, True), (1, 0, False)],
 )
-def test_the_fit_explains_the_light_that_a_model_of_direct_light_lacks(
+def test_the_fit_explains_light_missing_in_a_model_of_direct_light(
     side: int, unknown_pixels: int, coaxial: bool
 ) -> None:
     """The scene is a wedge with texture; in cells of 2 x 2 pixels, without texture.

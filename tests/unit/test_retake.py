@@ -77,7 +77,7 @@ def test_an_unknown_name_is_answered_with_similar_ones(
         find_retakes(results / "elsewhere", [name])
 
 
-def test_an_acquisition_that_the_settings_do_not_have_stays(results: Path) -> None:
+def test_acquisitions_that_are_not_in_the_settings_persist(results: Path) -> None:
     with pytest.raises(InputError, match="the settings have no acquisition of vase by auto"):
         find_retakes(results, ["vase/auto"], [("vase", "dual")])
 
@@ -138,7 +138,7 @@ def test_merged_images_are_set_aside_if_raw_exposures_were_dropped(results: Path
     }
 
 
-def test_pictures_that_are_taken_by_hand_are_taken_back_instead(
+def test_retakes_of_offline_rigs_refer_to_withdrawing_pictures(
     results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(results.parent)
@@ -153,7 +153,7 @@ def test_pictures_that_are_taken_by_hand_are_taken_back_instead(
     assert present(results) == before
 
 
-def test_a_rehearsal_sets_nothing_aside(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dry_run_changes_no_file(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(results.parent)
     before = present(results)
     said = run("run", "--dry-run", "--retake", "vase/dual/2")
@@ -161,7 +161,7 @@ def test_a_rehearsal_sets_nothing_aside(results: Path, monkeypatch: pytest.Monke
     assert present(results) == before
 
 
-def test_pictures_are_put_back_and_those_taken_since_set_aside(results: Path) -> None:
+def test_earlier_pictures_are_restored_and_later_ones_set_aside(results: Path) -> None:
     before = present(results)
     store = results / "vase/dual/L00/capture.zarr"
     (retake,) = find_retakes(results, ["vase/dual/0"])
@@ -200,7 +200,7 @@ CAMERAS = {"as before": {}, "other": {"exposures": (0.5,)}}
         ("as before", "vase/dual/L02", None),
     ],
 )
-def test_nothing_is_set_aside_unless_the_rig_answers_and_is_that_of_before(
+def test_pictures_are_set_aside_only_if_the_same_rig_answers(
     results: Path, monkeypatch: pytest.MonkeyPatch, server: str, name: str, message: str | None
 ) -> None:
     def rig_of_server(url: str, token: str, patience: float) -> OperatorRig:

@@ -44,7 +44,7 @@ def test_a_fault_has_a_kind_a_size_and_a_remedy(kind: str) -> None:
     assert all(fault.exceeds(limits) for limits in (CALIBRATION, CAPTURE, OFFLINE, NOTED))
 
 
-def test_room_light_is_less_accepted_than_a_change_of_all_light() -> None:
+def test_the_limit_for_room_light_is_lower_than_for_the_lamp() -> None:
     for limits in (CALIBRATION, CAPTURE, OFFLINE):
         size = (limits.room + limits.light) / 2
         assert faults.room_fault(size, "in 20 s").exceeds(limits)
@@ -65,14 +65,14 @@ RATIOS: dict[str, tuple[Any, tuple[float, ...], str]] = {
 
 
 @pytest.mark.parametrize("name", RATIOS)
-def test_exposures_of_a_bracket_part_flicker_from_gain(name: str) -> None:
+def test_exposures_of_a_bracket_distinguish_flicker_from_gain(name: str) -> None:
     ratio, exposures, kind = RATIOS[name]
     ratio = np.asarray(ratio)
     flicker = flicker_of(ratio, np.full(ratio.shape, 1e-3), exposures, np.ptp, 6.0)
     assert gain_or_flicker(0.1, flicker, exposures).kind == kind
 
 
-def test_ratios_are_1_of_a_steady_lamp_whatever_the_gain() -> None:
+def test_ratios_of_exposures_are_1_for_a_steady_lamp_and_any_gain() -> None:
     camera = replace(CameraModel(), exposures=EXPOSURES)
     black = np.full((3, 900), float(camera.black_level_counts))
     for gain in (1.0, 0.5):
@@ -84,7 +84,7 @@ def test_ratios_are_1_of_a_steady_lamp_whatever_the_gain() -> None:
 
 
 @pytest.mark.parametrize("radiance", [0.0, 0.01, 0.05])
-def test_noise_by_the_settings_is_that_of_frames(radiance: float) -> None:
+def test_noise_predicted_from_settings_equals_that_of_frames(radiance: float) -> None:
     camera = replace(CameraModel(), exposures=EXPOSURES, dark_current_electrons=50.0)
     image = np.full((100, 100, 1), radiance, np.float32)
     frames = camera.expose(image, 1, (0,)).reshape(3, -1).astype(np.float64)

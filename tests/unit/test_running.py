@@ -67,7 +67,7 @@ def test_a_killed_run_s_lock_is_removed(tmp_path: Path, run: subprocess.Popen[st
     assert not free_if_dead(tmp_path, UNLOCK)
 
 
-def test_a_run_that_lives_keeps_its_lock(tmp_path: Path, run: subprocess.Popen[str]) -> None:
+def test_a_running_run_keeps_its_lock(tmp_path: Path, run: subprocess.Popen[str]) -> None:
     for unlocking in (UNLOCK, None):  # for both commands
         with pytest.raises(LockedError, match=f"process {run.pid} is running the workflow"):
             free_if_dead(tmp_path, unlocking)
@@ -75,7 +75,7 @@ def test_a_run_that_lives_keeps_its_lock(tmp_path: Path, run: subprocess.Popen[s
 
 
 @pytest.mark.parametrize("change", ["another", "later"])
-def test_a_lock_that_is_not_known_stays(
+def test_an_unknown_lock_is_not_removed(
     tmp_path: Path, run: subprocess.Popen[str], change: str
 ) -> None:
     kill(run)

@@ -42,7 +42,7 @@ def test_half_of_the_rays_are_lit_and_the_matrix_is_recovered(shape: tuple[int, 
     assert abs(shown.mean() - 0.5) <= 0.5 / np.sqrt(order)
 
 
-def test_noise_that_is_the_same_in_all_pictures_falls_as_the_theory_says() -> None:
+def test_signal_independent_noise_decreases_as_predicted() -> None:
     matrix = np.random.default_rng(2).random((1, 400, 103))
     scan = acquire_matrix(BruteForce(), matrix, (20, 20), (1, 103), sigma=0.1)
     multiplexed = acquire_matrix(Hadamard(), matrix, (20, 20), (1, 103), sigma=0.1)

@@ -45,7 +45,7 @@ def test_the_example_has_a_ball_bricks_and_light_between_them() -> None:
     assert len(np.unique(scene.albedo.reshape(-1, 3), axis=0)) == 3
 
 
-def test_excerpts_are_those_of_the_example() -> None:
+def test_excerpts_equal_the_example() -> None:
     lines = (EXAMPLES / "niche.py").read_text("utf-8").splitlines()
     excerpts = [snippet for snippet in SNIPPETS if snippet not in WHOLE]
     assert len(excerpts) == 1
@@ -55,7 +55,7 @@ def test_excerpts_are_those_of_the_example() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(WHOLE)))
-def test_snippets_run_beside_the_examples(
+def test_snippets_run_in_the_folder_of_the_examples(
     number: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for example in ("niche.py", "frosted_glass.py"):

@@ -19,6 +19,6 @@ def test_direct_light_is_1e5_times_the_indirect():
     assert indirect.max() == pytest.approx(1e-5 * dense.diagonal().max(), rel=1e-3)
 
 
-def test_ranks():
+def test_scenes_have_the_stated_ranks():
     ranks = {"zero_transport": 0, "diffuse_cavity": 1, "mirror": 256, "random_dense": 256}
     assert {name: np.linalg.matrix_rank(matrix(name), rtol=1e-4) for name in ranks} == ranks

@@ -182,7 +182,7 @@ def test_patterns_without_certain_frames_are_captured_one_by_one(
     assert "capturing them one by one" in caplog.text
 
 
-def test_long_lists_are_divided_and_short_lists_need_no_sequence() -> None:
+def test_long_lists_are_divided_and_single_patterns_need_no_sequence() -> None:
     plain, given = rig(), patterns("half")
     sequences = SimulatedSequences(plain, longest=5)
     np.testing.assert_array_equal(sequences.show_sequence(*given), plain.capture(*given))

@@ -21,7 +21,7 @@ class Clock:
         return self.now
 
 
-def test_a_lease_lasts_as_long_as_its_heart_beats() -> None:
+def test_a_lease_lasts_while_heartbeats_arrive() -> None:
     clock = Clock()
     leases = Leases(10, clock)
     lease = leases.acquire("one")
@@ -44,7 +44,7 @@ def test_a_lease_lasts_as_long_as_its_heart_beats() -> None:
 
 
 @pytest.mark.parametrize("identity", ["", "x", "\udcff", "é" * 10])
-def test_a_lease_is_known_by_its_id_alone(identity: str) -> None:
+def test_a_lease_is_identified_by_its_id(identity: str) -> None:
     leases = Leases(10)
     leases.acquire("one")
     assert not leases.is_held_by(identity)
@@ -60,7 +60,7 @@ def file(tmp_path: Path) -> Path:
     return file
 
 
-def test_a_token_from_a_file_or_the_environment(
+def test_a_token_is_read_from_a_file_or_the_environment(
     file: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert read_token(file) == "0123456789abcdef"
@@ -92,7 +92,7 @@ def test_readable_and_missing_token_files_are_refused(file: Path) -> None:
         read_token(file)
 
 
-def test_a_captured_scene() -> None:
+def test_a_captured_scene_has_a_ray_domain_but_no_simulation() -> None:
     desk = {"desk": {"kind": "captured", "shape": [4, 5]}}
     scene = parse_config({"scenes": desk, "capture": {"rig": "remote"}}, "test").scenes["desk"]
     assert scene.is_captured

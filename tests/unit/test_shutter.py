@@ -19,7 +19,7 @@ HALVES = ("15", "11", "8", "3", "1.5", "1", "0.7", "1/2", "1/11", "1/45", "1/60"
         (HALVES, {"1/45": 2**-5.5, "0.7": 2**-0.5}),
     ],
 )
-def test_names_of_times_are_parts_of_a_stop(
+def test_names_of_exposure_times_are_fractions_of_a_stop(
     names: tuple[str, ...], expected: dict[str, float]
 ) -> None:
     by_name = {time.name: time.seconds for time in shutter_times(names)}

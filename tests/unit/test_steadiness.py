@@ -101,7 +101,7 @@ def test_samples_contain_every_colour_of_a_mosaic(rows: int, columns: int) -> No
     assert np.unique(sample_pixels(colours[None])).tolist() == [0, 1, 2, 3]
 
 
-def test_a_queue_of_old_frames_is_named() -> None:
+def test_a_queue_of_stale_frames_is_named() -> None:
     blacks, whites = references(lambda *_: (1.0, 0.0))
     late = np.concatenate([blacks[-1:], whites[:-1]])
     rotated = np.roll(whites, 1, axis=1)
@@ -171,7 +171,7 @@ PLACES: dict[str, tuple[Callable[[Any], Any], str]] = {
 @pytest.mark.parametrize("name", PLACES)
 @pytest.mark.parametrize("count", [1, 6])
 @pytest.mark.parametrize("indirect", [0.05, 0.3])
-def test_pictures_reveal_their_placement(name: str, count: int, indirect: float) -> None:
+def test_faults_of_placement_are_named(name: str, count: int, indirect: float) -> None:
     projected, expected = PLACES[name]
     signs = generator(7).integers(0, 2, (count, *SHAPE)) * 2.0 - 1
     albedo = generator(8).choice(
@@ -187,7 +187,7 @@ def test_pictures_reveal_their_placement(name: str, count: int, indirect: float)
     assert (expected in text) if expected else text == ""
 
 
-def test_a_cavity_full_of_light_misses_nothing() -> None:
+def test_a_cavity_has_no_missing_light() -> None:
     signs = generator(7).integers(0, 2, (6, *SHAPE)) * 2.0 - 1
     pictures = np.broadcast_to((signs + 1).mean(axis=(1, 2), keepdims=True) / 2, signs.shape)
     assert placement_of(signs, pictures, np.ones(SHAPE)).text == ""

@@ -75,7 +75,7 @@ def test_grainy_transport_is_not_amplified(seed):
 
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("shape", [(16, 16), (1, 64), (13, 29)])
-def test_a_permutation_is_recovered_though_every_coarse_piece_looks_rank_one(shape, seed):
+def test_a_permutation_is_recovered_although_coarse_blocks_have_rank_1(shape, seed):
     matrix = involution(shape[0] * shape[1], seed)
     result = acquire(matrix, shape)
     assert relative_error(result.transport, matrix) < 1e-6
@@ -109,7 +109,7 @@ def test_a_dim_rig_loses_little_indirect_light():
     assert relit == pytest.approx((matrix @ left_half.ravel())[dark.ravel()].sum(), rel=0.01)
 
 
-def test_a_glint_that_saturates_the_camera_spoils_its_own_pixel_alone():
+def test_a_saturating_glint_affects_only_its_own_pixel():
     albedo = np.random.default_rng(8).uniform(0.1, 1, 32 * 32)
     albedo[500] = 50  # full scale is at 2
     result = acquire(np.diag(albedo), (32, 32), noise=CameraModel())

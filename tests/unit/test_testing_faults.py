@@ -77,7 +77,7 @@ def test_a_projector_is_clean_until_its_fault_begins(fault: Callable[..., Any]) 
     np.testing.assert_allclose(light[2:, 0], expected[2:], atol=1e-3)
 
 
-def test_late_frames_are_those_before() -> None:
+def test_late_frames_equal_the_previous_ones() -> None:
     shown = pictures(4)
     projector, camera = devices()
     of_bracket = taken(projector, faults.LateCamera(camera), shown)
@@ -89,7 +89,7 @@ def test_late_frames_are_those_before() -> None:
     np.testing.assert_allclose(ratio * of_frame[:, 1], shown, atol=1e-3)
 
 
-def test_gain_is_one_factor_a_bracket_and_flicker_vanishes_over_whole_periods() -> None:
+def test_gain_is_one_factor_per_bracket_and_flicker_cancels_over_whole_periods() -> None:
     shown = pictures(40)
     projector, camera = devices()
     gain = taken(projector, faults.jittering_gain(camera, deviation=0.1), shown) / shown[:, None]
@@ -102,7 +102,7 @@ def test_gain_is_one_factor_a_bracket_and_flicker_vanishes_over_whole_periods() 
     assert deviation[1] > 0.02
 
 
-def test_drift_room_light_and_motion_have_the_size_that_is_asked_for() -> None:
+def test_drift_room_light_and_motion_have_the_requested_size() -> None:
     shown = pictures(60)
     projector, camera = devices()
     drift = taken(projector, faults.drifting_lamp(camera, change=-0.06, brackets=50), shown)

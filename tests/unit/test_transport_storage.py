@@ -63,7 +63,9 @@ def test_levels_in_messages_are_levels_with_patterns() -> None:
             transport.truncate(99)
 
 
-def test_the_fewer_bits_the_smaller(transport: Transport, dual: Transport, tmp_path: Path) -> None:
+def test_fewer_bits_give_smaller_stores(
+    transport: Transport, dual: Transport, tmp_path: Path
+) -> None:
     for acquired in (transport, dual):
         sizes = []
         for number_format in ("float32", "uint16", "uint8"):

@@ -132,7 +132,7 @@ EACH = pytest.mark.parametrize("make", KINDS, ids=lambda make: make.__name__)
 
 
 @EACH
-def test_it_is_the_matrix_that_its_arrays_say(make: Callable[[], Made]) -> None:
+def test_a_transport_equals_the_matrix_of_its_arrays(make: Callable[[], Made]) -> None:
     transport, expected = make()
     atol = 1e-5 * float(np.abs(expected).max())
     np.testing.assert_allclose(dense(transport), expected, atol=atol)
@@ -148,7 +148,7 @@ def test_it_is_the_matrix_that_its_arrays_say(make: Callable[[], Made]) -> None:
 
 
 @EACH
-def test_light_between_few_patterns_is_that_of_the_matrix(make: Callable[[], Made]) -> None:
+def test_light_between_patterns_equals_that_of_the_matrix(make: Callable[[], Made]) -> None:
     transport, matrix = make()
     received, sent = (
         csr_array(draw(rays, n)) for rays, n in zip(matrix.shape[1:], (3, 70), strict=True)
@@ -161,7 +161,9 @@ def test_light_between_few_patterns_is_that_of_the_matrix(make: Callable[[], Mad
 
 @EACH
 @pytest.mark.parametrize("number_format", ["float32", "uint16", "uint8"])
-def test_a_store_keeps_it(make: Callable[[], Made], number_format, tmp_path: Path) -> None:
+def test_a_stored_transport_is_restored(
+    make: Callable[[], Made], number_format, tmp_path: Path
+) -> None:
     transport, _ = make()
     path, pattern = tmp_path / "transport.zarr", np.abs(draw(*transport.projector_shape))
     digest = save_transport(transport, path, number_format, scene="test")

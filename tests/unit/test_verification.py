@@ -65,7 +65,7 @@ def test_noise_alone_is_no_error() -> None:
     assert np.std((errors - 0.2) / spread) == pytest.approx(1, abs=0.2)
 
 
-def test_a_glint_hides_no_error() -> None:
+def test_a_saturated_glint_does_not_reduce_the_error() -> None:
     """Saturated samples have a larger uncertainty than any error of the other samples."""
     truth = generator(1).random((3, 6, 7, 1)).astype(np.float32)
     variance = np.full_like(truth, 1e-6)
@@ -151,7 +151,7 @@ def test_a_target_is_met_or_missed(error: float, target: float | None, verdict: 
         assert f"{target:.2%}" in verification.reason
 
 
-def test_a_bound_and_pictures() -> None:
+def test_a_negative_number_of_pictures_is_refused() -> None:
     with pytest.raises(InputError, match="verification is -1"):
         rfpipe.acquire(rfpipe.OperatorRig(np.eye(4), (2, 2), (2, 2)), verification=-1)
 

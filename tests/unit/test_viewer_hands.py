@@ -96,7 +96,7 @@ def test_a_dragged_spot_of_any_colour_is_relit(page: Any, canvas: str) -> None:
     alike(page, transport_of("symmetric"))
 
 
-def test_bars_brushes_and_floodlight(page: Any) -> None:
+def test_bars_brushes_and_floodlight_are_relit(page: Any) -> None:
     lit = {}
     for tool in ("bar", "flood", "brush"):
         page.locator(f"[data-tool={tool}]").click()

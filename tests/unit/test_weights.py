@@ -45,7 +45,7 @@ def test_masks_and_fractions_are_accepted(entry: str, dtype: type) -> None:
 
 
 @pytest.mark.parametrize("weights", [np.ones(3, complex), np.array(["a"]), np.array([None])])
-def test_no_numbers(weights) -> None:
+def test_values_that_are_not_numbers_are_rejected(weights) -> None:
     with pytest.raises(InputError, match="expected weights, real numbers"):
         as_weights(weights)
 
