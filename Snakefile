@@ -31,7 +31,7 @@ from snakemake.utils import min_version
 
 min_version("9.27")
 
-# Where workflow/envs/rfpipe.post-deploy.sh finds what it installs.
+# Read by workflow/envs/rfpipe.post-deploy.sh, which installs rfpipe from this folder.
 os.environ.update(RFPIPE_HOME=str(workflow.basedir))
 
 
@@ -40,7 +40,7 @@ explain_reruns()
 failed_jobs = FailedJobs()
 logger.addHandler(failed_jobs)
 
-# Settings given with --configfile take the place of the default run's, rather than joining them.
+# Settings given with --configfile replace those of the default run; they aren't merged.
 if not workflow.overwrite_configfiles:
 
     configfile: Path(workflow.basedir) / "config" / "config.yaml"
@@ -109,9 +109,9 @@ onerror:
     if workflow.execution_settings.keep_going:
         report_remaining(failed_jobs.failures())
     print(
-        "rfpipe: the run ended early. If a stage failed, its message stands above and, with more "
-        "detail, in the .log file beside its results. What was captured is kept; if a signal ended "
-        "the run, or that message says so, the next one goes on from there."
+        "rfpipe: the run ended early. If a stage failed, its message is above and, with more "
+        "detail, in the .log file beside its results. All captured pictures are kept. After a signal, "
+        "or if that message says so, the next run continues."
     )
     notify(SETTINGS.notify, "failed", log[0])
     list_collection()

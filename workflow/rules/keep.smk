@@ -1,8 +1,8 @@
 rule keep:
-    """Transports, relit pictures and report in a bucket, where others read them.
+    """Transports, relit pictures and report in a bucket.
 
-    Last of all, and on this machine: a run that can't reach the bucket has its results, and the
-    next run sends what is missing. What was captured stays here.
+    The last rule, on this machine: a run that can't reach the bucket keeps its results, and the next
+    run uploads the missing ones. Captures aren't uploaded.
     """
     input:
         every_acquisition("transport.json"),

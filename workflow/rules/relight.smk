@@ -4,7 +4,7 @@ def scene_settings(wildcards):
 
 
 rule relight:
-    """The transport under the reference patterns, beside what is true of the scene."""
+    """The transport under the reference patterns, and the true pictures of the scene."""
     input:
         "results/{scene}/{method}/transport.json",
     output:

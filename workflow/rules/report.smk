@@ -2,7 +2,7 @@ from rfpipe.errors import RfpipeError
 
 
 def every_item(wildcards):
-    """What the catalogue tells of each scene and method beside its transport."""
+    """Inputs of the catalogue besides the transports."""
     relit = [
         f"results/{scene}/{method}/relight.json"
         for scene, method in SETTINGS.acquisitions
@@ -12,7 +12,7 @@ def every_item(wildcards):
 
 
 def list_collection():
-    """Write the catalogue of a collection, whatever became of it until now."""
+    """Write the catalogue of a collection in its present state."""
     if SETTINGS.collection is None:
         return
     from rfpipe.report.catalogue import write_catalogue
@@ -49,7 +49,7 @@ PAGE_TEMPLATE = Path(rfpipe.__file__).parent / "report" / "page.html.j2"
 
 
 rule evaluate:
-    """All error figures, in one job since the colour library takes long to load."""
+    """All errors, in one job because the colour library takes long to load."""
     input:
         relit=every_acquisition("relight.json"),
     output:

@@ -26,7 +26,7 @@ def every_bounded(wildcards):
 
 
 rule verification:
-    """A scene's transport beside pictures that no method saw, taken by the same rig."""
+    """Errors of a transport on verification pictures of the same rig."""
     input:
         "results/{scene}/{method}/transport.json",
     output:
@@ -51,9 +51,9 @@ rule verification:
 
 
 rule bound:
-    """Whether what was acquired is as near to the scene as was asked for.
+    """Comparison of the verified errors with their bounds.
 
-    Last of all: a run that fails here has its report, and all that was acquired.
+    The last rule: a run that fails here has its report and all results.
     """
     input:
         acquired=every_bounded,

@@ -4,7 +4,7 @@ from rfpipe.store.files import digest_of
 
 
 def every_view(wildcards):
-    """The page of each scene and method on which one paints with light."""
+    """The viewer's page of each scene and method."""
     return [
         f"results/report/view/{scene}_{method}.html"
         for scene, method in SETTINGS.acquisitions
@@ -20,7 +20,7 @@ def other_acquisitions(wildcards):
     ]
 
 
-# The package that makes the pages, with what they run.
+# Digest of the viewer's code and web files.
 VIEWER = fingerprint(
     [
         digest_of(path.read_bytes())
@@ -31,7 +31,7 @@ VIEWER = fingerprint(
 
 
 rule view:
-    """A page for each acquisition: light the scene in a browser, wipe to another method's."""
+    """The viewer's page of an acquisition, with another method's transport to compare."""
     input:
         transport="results/{scene}/{method}/transport.json",
         others=other_acquisitions,

@@ -178,7 +178,7 @@
       (local.set $counts (i32.add (local.get $counts) (i32.const 4)))
       (br $row))))
 
-  ;; the same, transposed: what is dark is passed over
+  ;; the same, transposed: dark rays are skipped
   (func (export "csr_transposed") (param $rows i32) (param $counts i32) (param $columns i32)
       (param $values i32) (param $x i32) (param $y i32)
     (local $stop i32) (local $end i32) (local $at i32) (local $light f32) (local $bytes i32)

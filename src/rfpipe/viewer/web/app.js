@@ -1,4 +1,4 @@
-// The page: what is set, the two screens, and the pictures between them.
+// The page: its state, the two screens, and the loop that updates their pictures.
 const $ = (id) => document.getElementById(id);
 const ORDER = ["projector", "camera"];
 const sides = { projector: new Side(MANIFEST.projector), camera: new Side(MANIFEST.camera) };
@@ -22,7 +22,7 @@ function say(text, failed = false) {
 async function embedded(prefix, index) {
   for (;;) {
     const element = $(prefix + index);
-    // its text is whole once something stands after it
+    // its text is complete once another element follows
     if (element && (document.readyState !== "loading" || element.nextElementSibling)) {
       const text = element.textContent;
       element.remove();
@@ -79,8 +79,8 @@ function whiteOf(image) {
   return top || 1;
 }
 
-// A single pixel's light is dim but for the pixel itself: all but one in a thousand values, a few at
-// least, are below this white.
+// White level for the light of a single pixel, which is dim except at the pixel itself: all values
+// except one in a thousand, and at least a few, are below it.
 function whiteOfMost(image) {
   const sorted = Float32Array.from(image).sort(), n = sorted.length;
   return sorted[n - 1 - Math.min(n - 1, Math.max(4 * channels, n / 1000 | 0))] || whiteOf(image);
@@ -91,7 +91,7 @@ function exposedWhite() {
   return whiteOfMost(shown.picture) / 2 ** (state.exposure - INITIAL.exposure);
 }
 
-// What the page shows next: the light and its pictures, as things are set now.
+// Compute the light and its pictures for the present state.
 async function pictured() {
   const { light, colour } = lightNow(), dual = state.side === "camera", hash = stateToHash(state);
   const wanted = [engine.picture(request(light, colour, dual))];
@@ -132,7 +132,7 @@ function differenceText(picture, compared) {
     `${(100 * largest).toPrecision(2)} % of white.`;
 }
 
-// The light; or, of a pixel that was picked, where its light comes from.
+// Draw the light or, for a picked pixel, the places from which it receives light.
 async function paintLight() {
   const view = state.litView < 0 ? 0 : state.litView;
   if (state.tool === "pixel" && state.px >= 0) {
@@ -151,7 +151,7 @@ async function paintLight() {
 
 async function findFloodlit() {
   for (const name of ORDER) {
-    const dual = name === "projector"; // what a side sees under light from the other
+    const dual = name === "projector"; // picture of one side under light from the other
     const light = new Float32Array(sides[ORDER[1 - ORDER.indexOf(name)]].rays).fill(1);
     const all = { ...request(light, Array(channels).fill(1), dual),
       parts: MANIFEST.parts.map(() => true) };
@@ -169,28 +169,28 @@ function count() {
   }
 }
 
-// At most one picture is on its way while another is shown; moves meanwhile end in one more.
-let asked = false, going = false;
+// At most one picture is computed while another is shown; changes meanwhile cause one more.
+let requested = false, running = false;
 async function update(keep = true) {
   if (keep && !playing) rememberSoon();
-  asked = true;
-  if (going || !readyLevels.length) return;
-  going = true;
+  requested = true;
+  if (running || !readyLevels.length) return;
+  running = true;
   try {
-    asked = false;
-    for (let coming = pictured(); coming;) {
-      const found = await coming;
-      coming = asked ? pictured() : null;
-      asked = false;
-      show(found);
+    requested = false;
+    for (let next = pictured(); next;) {
+      const picture = await next;
+      next = requested ? pictured() : null;
+      requested = false;
+      show(picture);
     }
   } finally {
-    going = false;
+    running = false;
   }
-  if (asked) update(keep);
+  if (requested) update(keep);
 }
 
-// ---- beginning
+// ---- start
 
 function makeScreens() {
   bound();

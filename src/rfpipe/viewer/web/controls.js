@@ -66,13 +66,13 @@ function showScales() {
   $("scale").value = scales.includes(wanted) ? wanted : scales.at(-1);
 }
 
-// Views that there are.
+// Number of views.
 function bound() {
   state.seenView = clamp(Math.round(state.seenView), 0, seen().views - 1);
   state.litView = clamp(Math.round(state.litView), -1, lit().views - 1);
 }
 
-// Whether a place in the picture that is seen is one of the light's.
+// Test whether a place in the picture also is a place of the light.
 const sharesPlaces = () => MANIFEST.coaxial && (lit().views < 2 || state.litView === state.seenView);
 
 function set(changes) {

@@ -1,4 +1,4 @@
-// Workers that run a program: each has a share of the operations, and their pictures are added.
+// Workers that run a program: each runs a share of the operations, and their pictures are added.
 class Engine {
   // `blob(i)` gives the i-th array's base64 text, or a promise of it.
   constructor(manifest, blob, count, simd) {
@@ -48,14 +48,14 @@ class Engine {
     } else if (this.busy && data.id === this.busy.id) this.collect(data.picture);
   }
 
-  // Which levels can be seen.
+  // Levels that are loaded.
   ready() {
     return this.about.levels.filter((level) => this.about.operations.every((op) =>
       !op.levels.includes(level) || Object.values(op.arrays).every((i) => this.loaded.has(i))));
   }
 
-  // The picture under a light. Of several for one purpose that wait only the newest is made; others
-  // give null.
+  // Compute the picture under a light. Of several waiting requests for one purpose only the newest
+  // is computed; the others return null.
   picture(request, purpose = "seen") {
     return new Promise((resolve) => {
       if (this.waiting.has(purpose)) this.waiting.get(purpose).resolve(null);
@@ -79,12 +79,12 @@ class Engine {
     else for (let i = 0; i < picture.length; i++) busy.sum[i] += picture[i];
     if (--busy.left > 0) return;
     this.busy = null;
-    this.next(); // the workers go on while the page shows this one
+    this.next(); // the workers continue while the page shows this picture
     busy.resolve(busy.sum);
   }
 }
 
-// Which operations each worker runs: shared ones where there is least to do, with what feeds them.
+// Assign operations to workers: each to the worker with the least work, with its inputs.
 function shareOut({ operations, levels }, count) {
   const shares = Array.from({ length: count }, () => new Set());
   const loads = shares.map(() => new Map(levels.map((level) => [level, 0])));

@@ -72,7 +72,7 @@ function pixel(side, x, y) {
   return image;
 }
 
-// Strokes that stay: painted in planes of all channels.
+// Painted strokes, in planes of all channels.
 class Painting {
   constructor(side, channels) {
     this.side = side;

@@ -1,4 +1,4 @@
-// What is set on the page, and how a link keeps it.
+// State of the page, and its form in a link.
 const INITIAL = {
   tool: "spot", side: "projector", x: 0.5, y: 0.5, px: -1, py: -1, size: 8, soft: 0.5, angle: 0,
   colour: "#ffffff", exposure: 2, tone: "soft", auto: false, level: -1, off: "", litView: -1,
@@ -14,7 +14,7 @@ function stateToHash(state) {
   return params.toString();
 }
 
-// Anything that a link says wrongly stays as it is.
+// Invalid values of a link are ignored.
 function stateFromHash(hash) {
   const state = { ...INITIAL }, params = new URLSearchParams(hash.replace(/^#/, ""));
   for (const [name, text] of params) {
@@ -42,7 +42,7 @@ class Path {
       1295 * Math.min(1, Math.max(0, value))).toString(36).padStart(2, "0")).join("")).join("");
   }
 
-  // The place after so many seconds, from the beginning again at the end.
+  // The place after a number of seconds; the path repeats.
   at(seconds) {
     if (this.places.length < 2) {
       return [0.5 + 0.42 * Math.sin(1.1 * seconds), 0.5 + 0.36 * Math.sin(1.7 * seconds)];

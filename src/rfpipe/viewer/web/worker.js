@@ -1,4 +1,4 @@
-// A worker: holds its share of a program's operations in one memory, and runs them on light.
+// A worker: stores its share of a program's operations in one memory, and runs them on light.
 // Messages: {start}, {array, data}, {run}; answers: {loaded}, {picture}, {failed}.
 const TYPES = { i4: Int32Array, f4: Float32Array, u1: Uint8Array, u2: Uint16Array };
 const aligned = (bytes) => (bytes + 15) & ~15;
@@ -14,7 +14,7 @@ function allocate(bytes) {
 
 const length = (array) => array.shape.reduce((product, size) => product * size, 1);
 
-// Bytes that an operation's own numbers take; arrays that several operations use are counted once.
+// Bytes of an operation's numbers; arrays of several operations are counted once.
 function needed() {
   let bytes = 0;
   const seen = new Set(), sizes = new Set();
@@ -245,7 +245,7 @@ function apply(op, channel, transposed, x, y) {
   } else kernels["dense" + suffix](shape[1], shape[2], values, x, y);
 }
 
-// One message after the other, though some have to wait for what they do.
+// Process messages in order, although some are asynchronous.
 let before = Promise.resolve();
 onmessage = ({ data }) => {
   before = before.then(async () => {
