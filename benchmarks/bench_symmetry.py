@@ -24,7 +24,7 @@ from rfpipe.calibration.symmetry import (
     measure_symmetry,
     merged_pictures,
     random_signs,
-    symmetry_patterns,
+    symmetry_test_patterns,
 )
 from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.photometry import CameraModel
@@ -97,7 +97,7 @@ RIGS: dict[str, tuple[Callable[[Array], Array], float]] = {
 def predicted(rig: rfpipe.OperatorRig, count: int, seed: int) -> float:
     """Return the error that `count` random patterns of single rays predict."""
     signs = random_signs((SIDE, SIDE), count, seed)
-    lit = symmetry_patterns(signs, _FLOODLIT).astype(np.float32)
+    lit = symmetry_test_patterns(signs, _FLOODLIT).astype(np.float32)
     frames = rig.capture(lit, [(0, index) for index in range(len(lit))])
     return measure_symmetry(*merged_pictures(frames, rig.sensor, signs, _FLOODLIT))[0]
 

@@ -65,7 +65,7 @@ def is_full(error: OSError) -> bool:
     return error.errno in _FULL
 
 
-class Failure(NamedTuple):
+class WriteFailure(NamedTuple):
     """Cause of a failed write, and the remedy."""
 
     reason: str
@@ -152,7 +152,7 @@ def storage_errors(
         raise StoreError(f"{action} failed: {reason}", place=path, remedy=remedy) from error
 
 
-def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> Failure:
+def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> WriteFailure:
     """Return the cause of an error of the file system, and the remedy."""
     reason = error.strerror or str(error)
     if is_full(error):
@@ -160,23 +160,25 @@ def _failure(path: Any, error: OSError, needed_bytes: int, *, resumes: bool) -> 
         resumption = ": it continues where it stopped" if resumes else ""
         disk = f"{free_bytes(path.parent):,} bytes free on the disk at {mount_point(path)}"
         remedy = f"{needed}{disk}; make room and run again{resumption}"
-        return Failure(reason, remedy)
+        return WriteFailure(reason, remedy)
     if error.errno in _FORBIDDEN:
-        return Failure(
+        return WriteFailure(
             reason,
             f"give this user write permission for {path.parent}, or choose another folder",
         )
     if error.errno in _BLOCKED:
-        return Failure(
+        return WriteFailure(
             reason,
             f"a folder in {path} has the name of a file; remove the file or choose another path",
         )
     if error.errno == errno.ENOENT and isinstance(path, Path):
         parent = _existing(path.absolute().parent)
-        return Failure(reason, f"check that {parent} is writable, or choose another folder")
+        return WriteFailure(reason, f"check that {parent} is writable, or choose another folder")
     if error.errno in _LOCKLESS:
-        return Failure(reason, "mount the file system with locks (NFS 4, Lustre with -o flock)")
-    return Failure(reason, "check the folder and its file system, then run again")
+        return WriteFailure(
+            reason, "mount the file system with locks (NFS 4, Lustre with -o flock)"
+        )
+    return WriteFailure(reason, "check the folder and its file system, then run again")
 
 
 def write_atomically(path: Path, content: bytes, *, resumes: bool = True) -> None:

@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from rfpipe.calibration.correspondence import AxisCode, SmoothMap
-from rfpipe.calibration.rays import coverage, fit_rays, overlaps
+from rfpipe.calibration.rays import coverage, fit_rays, overlapped_pixels
 from rfpipe.rigs.layout import ProjectorLayout
 
 
@@ -54,7 +54,7 @@ def test_overlaps_have_the_area_of_the_outline(
     corners = np.stack([x, y], -1) @ turn + (x0 + 40, y0 + 40)
     around = corners[:-1, :-1], corners[:-1, 1:], corners[1:, 1:], corners[1:, :-1]
     outlines = np.stack(around, axis=2).reshape(-1, 4, 2)
-    camera, projector, share, areas = overlaps(outlines, (120, 120))
+    camera, projector, share, areas = overlapped_pixels(outlines, (120, 120))
     total = np.bincount(camera, share, rows * columns)
     assert np.abs(total - 1).max() < 1e-6
     # the overlaps of an inner projector pixel with all camera pixels add up to its area

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as npst
 
 from rfpipe.errors import TransferError
-from rfpipe.rigs.messages import decode_patterns, encode_patterns, pack, unpack
+from rfpipe.rigs.messages import decode_patterns, encode_patterns, pack_message, unpack_message
 
 SHAPES = npst.array_shapes(min_dims=3, max_dims=4, min_side=1, max_side=6)
 DTYPES = st.sampled_from(
@@ -47,10 +47,10 @@ def test_arrays_are_decoded_exactly(
     data: st.DataObject, shape: tuple[int, ...], dtype: type, deflate: bool
 ) -> None:
     array = data.draw(npst.arrays(dtype, shape))
-    message = pack(
+    message = pack_message(
         {"a": 1, "b": [2, None]}, {"one": array, "two": array[..., None]}, deflate=deflate
     )
-    facts, arrays = unpack(message, 2 * array.nbytes)
+    facts, arrays = unpack_message(message, 2 * array.nbytes)
     assert facts == {"a": 1, "b": [2, None]}
     assert arrays["one"].dtype == array.dtype
     assert arrays["one"].tobytes() == array.tobytes()
@@ -60,16 +60,16 @@ def test_arrays_are_decoded_exactly(
 @given(st.binary(max_size=200))
 def test_any_bytes_are_a_message_or_an_error(content: bytes) -> None:
     with pytest.raises(TransferError):
-        unpack(content, 1000)
+        unpack_message(content, 1000)
 
 
 @given(st.data())
 def test_an_altered_byte_is_detected_or_has_no_effect(data: st.DataObject) -> None:
     array = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
-    message = bytearray(pack({"a": 1}, {"one": array}, deflate=data.draw(st.booleans())))
+    message = bytearray(pack_message({"a": 1}, {"one": array}, deflate=data.draw(st.booleans())))
     message[data.draw(st.integers(0, len(message) - 1))] ^= data.draw(st.integers(1, 255))
     try:
-        facts, arrays = unpack(bytes(message), 1000)
+        facts, arrays = unpack_message(bytes(message), 1000)
     except TransferError:
         return
     # names have no checksum
@@ -79,8 +79,8 @@ def test_an_altered_byte_is_detected_or_has_no_effect(data: st.DataObject) -> No
 
 def test_messages_are_numpy_archives_with_reproducible_bytes() -> None:
     arrays = {"one": np.arange(6).reshape(2, 3), "two": np.array(True)}
-    message = pack({"a": [1]}, arrays)
-    assert message == pack({"a": [1]}, arrays)
+    message = pack_message({"a": [1]}, arrays)
+    assert message == pack_message({"a": [1]}, arrays)
     with np.load(io.BytesIO(message)) as archive:
         for name, array in arrays.items():
             np.testing.assert_array_equal(archive[name], array)

@@ -12,7 +12,7 @@ from tests.rigs.calibration_bench import CAMERA, Bench, brighter, wedge_bench
 from tests.services.waiting import wait_until
 
 from rfpipe.errors import CaptureError
-from rfpipe.server.aim import Watch, create_app
+from rfpipe.server.aim import SceneMonitor, create_app
 
 TOKEN = "a-token-of-the-test"
 
@@ -23,21 +23,21 @@ def bench() -> Bench:
 
 
 @pytest.fixture
-def watch(bench: Bench) -> Iterator[Watch]:
-    watch = Watch(lambda: (bench.projector, bench.camera), period=16)
+def watch(bench: Bench) -> Iterator[SceneMonitor]:
+    watch = SceneMonitor(lambda: (bench.projector, bench.camera), period=16)
     yield watch
     watch.close()
 
 
 @pytest.fixture
-def get(watch: Watch) -> Callable[..., Response]:
+def get(watch: SceneMonitor) -> Callable[..., Response]:
     """Ask as a browser does, which keeps its cookies."""
     app = ASGITransport(create_app(watch, TOKEN))
     browser = AsyncClient(transport=app, base_url="http://127.0.0.1", follow_redirects=True)
     return lambda path, **options: asyncio.run(browser.get(path, **options))
 
 
-def wait_for(watch: Watch, number: int) -> None:
+def wait_for(watch: SceneMonitor, number: int) -> None:
     wait_until(lambda: watch.view.number >= number, f"view {number}")
 
 
@@ -52,7 +52,9 @@ def test_nothing_is_shown_without_the_token(get: Callable[..., Response]) -> Non
     assert get("/state.json", headers={"Host": "elsewhere.example"}).status_code == 400
 
 
-def test_the_page_shows_the_view_of_the_camera(get: Callable[..., Response], watch: Watch) -> None:
+def test_the_page_shows_the_view_of_the_camera(
+    get: Callable[..., Response], watch: SceneMonitor
+) -> None:
     get(f"/?token={TOKEN}")
     wait_for(watch, 1)
     state = get("/state.json").json()
@@ -69,7 +71,7 @@ def test_the_page_shows_the_view_of_the_camera(get: Callable[..., Response], wat
 
 
 def test_a_failed_device_is_reported_and_retried(
-    get: Callable[..., Response], watch: Watch, bench: Bench, monkeypatch: pytest.MonkeyPatch
+    get: Callable[..., Response], watch: SceneMonitor, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     get(f"/?token={TOKEN}")
     wait_for(watch, 1)
@@ -92,4 +94,4 @@ def test_devices_that_cannot_be_opened_raise_an_error() -> None:
         raise CaptureError("no camera answers")
 
     with pytest.raises(CaptureError, match="no camera answers"):
-        Watch(missing, period=16)  # type: ignore[arg-type]
+        SceneMonitor(missing, period=16)  # type: ignore[arg-type]

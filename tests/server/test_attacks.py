@@ -20,7 +20,7 @@ from tests.server.harness import RIGHT, TOKEN, Running, SlowRig, head_of_capture
 
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs import OperatorRig
-from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, pack
+from rfpipe.rigs.messages import MEDIA_TYPE, encode_patterns, pack_message
 
 ON = np.ones((1, 3, 7), np.float32)
 PATHS = ("/v1/status", "/v1/rig", "/v1/rig/arrays")
@@ -142,7 +142,7 @@ def post(server: Running, body: Any, **changes: str) -> httpx.Response:
 
 
 def message(patterns: np.ndarray, /, *, deflate: bool = False, **facts: Any) -> bytes:
-    return pack({**KEYS, **facts}, {"patterns": patterns}, deflate=deflate)
+    return pack_message({**KEYS, **facts}, {"patterns": patterns}, deflate=deflate)
 
 
 KEYS: dict[str, Any] = {"keys": [[1, 0]]}
@@ -193,7 +193,7 @@ MALFORMED = {
     "no json": raw(b"{nope"),
     "deep json": raw(b"[" * 50_000),
     "long facts": raw(b" " * 2**20 + b"{}", how=zipfile.ZIP_DEFLATED),
-    "no arrays": pack(KEYS, {}),
+    "no arrays": pack_message(KEYS, {}),
     "no array": raw(array=b"nothing"),
     "object dtype": raw(array=npy(descr="|O")),
     "code in the header": raw(array=npy("__import__('os').abort()")),
@@ -207,7 +207,9 @@ MALFORMED = {
     "bomb": message(np.zeros((20, 1_000_000), np.uint8), deflate=True),
     "levels of too much": message(np.zeros((64, 30_000), np.uint8), deflate=True),
     "deflate of nothing": harmed(
-        pack(KEYS, {"patterns": np.zeros((1, 3), np.uint8)}), b"\0\0\0\0!\0", b"\x08\0\0\0!\0"
+        pack_message(KEYS, {"patterns": np.zeros((1, 3), np.uint8)}),
+        b"\0\0\0\0!\0",
+        b"\x08\0\0\0!\0",
     ),
     "by lzma": raw(how=zipfile.ZIP_LZMA),
     "two arrays": raw(**{"more.npy": npy()}),

@@ -18,7 +18,7 @@ from tests.server.test_attacks import crowd
 from tests.services.ports import free_port
 from tests.services.waiting import wait_until
 
-from rfpipe.rigs.messages import MEDIA_TYPE, Message, encode_patterns, pack
+from rfpipe.rigs.messages import MEDIA_TYPE, Message, encode_patterns, pack_message
 
 pytestmark = pytest.mark.slow
 
@@ -81,7 +81,9 @@ def bodies(patterns: int) -> dict[str, bytes]:
     return {
         "stripes": encode_patterns(stripes, keys),
         "gaps": encode_patterns(1 - stripes, keys),
-        "bomb": pack(facts, {"patterns": np.zeros((patterns, *SHAPE), np.float32)}, deflate=True),
+        "bomb": pack_message(
+            facts, {"patterns": np.zeros((patterns, *SHAPE), np.float32)}, deflate=True
+        ),
         "large": heavy.content(),
         "crowd": crowd(1_400_000),
     }

@@ -10,7 +10,7 @@ from rfpipe.calibration.symmetry import (
     merged_pictures,
     random_signs,
     symmetry_findings,
-    symmetry_patterns,
+    symmetry_test_patterns,
 )
 from rfpipe.config import SceneSettings
 from rfpipe.photometry import CameraModel
@@ -41,7 +41,7 @@ def pictures_of(
     """Return pictures of a rig whose lamp dims by the fraction `drift` until the last one."""
     rig = OperatorRig(matrix, SHAPE, SHAPE, noise=noise)
     signs = random_signs(SHAPE, count, 0)
-    lit = symmetry_patterns(signs, 4).astype(np.float32)
+    lit = symmetry_test_patterns(signs, 4).astype(np.float32)
     lamp = np.linspace(1, 1 - drift, len(lit), dtype=np.float32)
     lit *= (lamp / lamp.max())[:, None, None]
     frames = rig.capture(lit, [(0, index) for index in range(len(lit))])

@@ -14,7 +14,7 @@ from tests.rigs.known_matrix import run
 
 from rfpipe.errors import InputError, StoreError
 from rfpipe.report import catalogue
-from rfpipe.report.compare import Point, compare, frontier
+from rfpipe.report.compare import CostPoint, compare, frontier
 from rfpipe.report.inputs import seconds_spent
 from rfpipe.store import write_arrays, write_manifest
 
@@ -142,7 +142,7 @@ def test_a_captured_scene_counts_by_its_verification(tmp_path: Path) -> None:
 
 
 def test_a_curve_has_the_least_error_for_its_patterns() -> None:
-    points = [Point(error, count, count, count) for error, count in
+    points = [CostPoint(error, count, count, count) for error, count in
               [(0.1, 20), (0.4, 1), (0.2, 30), (0.05, 40), (0.06, 40), (0.05, 50)]]  # fmt: skip
     assert [(it.patterns, it.error) for it in frontier(points)] == [(1, 0.4), (20, 0.1), (40, 0.05)]
 

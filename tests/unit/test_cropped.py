@@ -12,7 +12,7 @@ import rfpipe
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.publishing.run import files_below
-from rfpipe.store.packed import pack
+from rfpipe.store.packed import pack_files
 from rfpipe.transport import save_transport
 from rfpipe.transport.hierarchical.leaves import LeafSet
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -91,7 +91,7 @@ def test_a_view_is_fetched_from_a_bucket_by_ranges(
     run: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path, validators: str
 ) -> None:
     """One of nine views needs a fifth of the pairs of views, and a part of it fewer blocks."""
-    pack(run, [file for _, file in files_below(run / STORE, STORE)], tmp_path / "packed")
+    pack_files(run, [file for _, file in files_below(run / STORE, STORE)], tmp_path / "packed")
     light = np.random.default_rng(3).random(SHAPE, np.float32)
     expected = rfpipe.open_transport(run / STORE).relight(light)
     stored = sum(file.stat().st_size for _, file in files_below(run / STORE, STORE))

@@ -13,7 +13,7 @@ from rfpipe.methods.adaptive.decisions import (
     patterns_to_target,
 )
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
-from rfpipe.methods.adaptive.state import TARGET_MARGIN, AdaptiveState, Phase
+from rfpipe.methods.adaptive.state import STOPPING_FRACTION, AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.footprints.method import Footprints
@@ -142,11 +142,11 @@ def test_a_round_has_the_patterns_missing_by_extrapolation() -> None:
     """If errors fall with the root of the patterns, half the error takes four times as many."""
     patterns = 1 + sum(ROUNDS[:2])
     before, error = 0.02 * np.sqrt(patterns / (1 + ROUNDS[0])), 0.02
-    state = after_model_rounds(NearFar(), [before, error], 0.0199 / TARGET_MARGIN)
+    state = after_model_rounds(NearFar(), [before, error], 0.0199 / STOPPING_FRACTION)
     assert next_pattern_count(state, 100) == 6
     for target in (0.018, 0.015):
         state = after_model_rounds(NearFar(), [before, error], target)
-        missing = patterns * ((error / (TARGET_MARGIN * target)) ** 2 - 1)
+        missing = patterns * ((error / (STOPPING_FRACTION * target)) ** 2 - 1)
         assert patterns_to_target(state) == pytest.approx(missing, rel=1e-6)
         assert next_pattern_count(state, 100) == max(6, round(1.1 * missing))
     assert next_pattern_count(state, 7) == 7
@@ -158,7 +158,7 @@ def test_both_targets_must_be_met() -> None:
         options = ErrorOptions(target_error=0.01, target_indirect=indirect)
         estimates = tuple(replace(estimate, indirect=0.1) for estimate in state.estimates)
         state = replace(state, options=options, estimates=estimates)
-        assert state.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect) / TARGET_MARGIN)
+        assert state.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect) / STOPPING_FRACTION)
         assert NearFar().decide(state, Phase.MODEL, False).phase is phase
 
 

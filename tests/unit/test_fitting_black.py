@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.black import check_black
+from rfpipe.fitting.black import black_scale
 from rfpipe.pictures import Header
 
 PICTURE = Header((40, 60), 3, "counts", exposure_s=0.5, iso=100, f_number=8)
@@ -26,12 +26,12 @@ NAMES = ("black.tif", "IMG_1.tif")
     ],
 )
 def test_black_is_scaled_to_the_exposure_of_the_picture(change, scale: float) -> None:
-    assert check_black(replace(PICTURE, **change), PICTURE, NAMES) == pytest.approx(scale)
+    assert black_scale(replace(PICTURE, **change), PICTURE, NAMES) == pytest.approx(scale)
 
 
 def test_files_without_metadata_are_alike() -> None:
     plain = Header((40, 60), 3, "counts")
-    assert check_black(plain, plain, NAMES) == 1
+    assert black_scale(plain, plain, NAMES) == 1
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def test_files_without_metadata_are_alike() -> None:
 def test_other_black_pictures_are_refused(change, message: str) -> None:
     black = replace(PICTURE, **change)
     with pytest.raises(InputError, match=rf"black\.tif: .*{message}"):
-        check_black(black, PICTURE, NAMES)
+        black_scale(black, PICTURE, NAMES)
     if None in change.values():
         with pytest.raises(InputError, match=rf"IMG_1\.tif: .*{message}"):
-            check_black(PICTURE, black, NAMES)
+            black_scale(PICTURE, black, NAMES)

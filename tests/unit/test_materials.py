@@ -10,7 +10,7 @@ from tests.unit.test_mitsuba_scene import ASIDE, LOOKING, file_of, options
 
 from rfpipe.config import Config
 from rfpipe.errors import InputError
-from rfpipe.mitsuba.materials import choose_caustics, surfaces_of
+from rfpipe.mitsuba.materials import choose_caustics, shape_materials
 from rfpipe.mitsuba.scene import MitsubaOptions
 from rfpipe.mitsuba.world import load_scene
 from rfpipe.mitsuba.worlds import WORLDS
@@ -142,7 +142,7 @@ def test_a_heterogeneous_medium_is_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", WORLDS)
 def test_scenes_declare_the_parameters_of_their_materials(name: str) -> None:
-    world, surfaces = WORLDS[name], surfaces_of(load_scene(WORLDS[name]))
+    world, surfaces = WORLDS[name], shape_materials(load_scene(WORLDS[name]))
     assert world.caustics == choose_caustics(surfaces, world.bounces).value
     assert not any(surface.is_sharp or surface.is_graded for surface in surfaces)
 

@@ -9,8 +9,8 @@ from typing import Any
 import pytest
 
 from rfpipe.jobs.outcome import (
+    FailedJob,
     FailedJobs,
-    Failure,
     clear_failures,
     failure_line,
     missed_targets,
@@ -33,7 +33,7 @@ from rfpipe.store import write_manifest
 def test_a_failure_names_scene_stage_and_log(
     rule: str, log: str, text: str, tmp_path: Path
 ) -> None:
-    failure = Failure.of_log(rule, log)
+    failure = FailedJob.of_log(rule, log)
     assert str(failure) == text
     line = failure_line([failure], Path("night"))
     assert line == f"failed: {text}" + (f" (night/{log})" if log else "")

@@ -20,7 +20,7 @@ from tests.files.tiffs import tiff_bytes
 from rfpipe.errors import InputError
 from rfpipe.pictures import (
     Header,
-    check_mosaic,
+    check_raw_mosaic,
     check_sequence,
     developed,
     encoding_note,
@@ -553,10 +553,10 @@ def test_the_mosaic_of_a_raw_file_must_equal_the_settings(tmp_path: Path, name: 
     assert read_picture(tmp_path / "a.dng").header == header
     assert header.mosaic == ("X-Trans" if mosaic == X_TRANS else mosaic)
     if message is None:
-        check_mosaic(tmp_path / "a.dng", header, bayer)
+        check_raw_mosaic(tmp_path / "a.dng", header, bayer)
     else:
         with pytest.raises(InputError, match=rf"a\.dng: .*{message}"):
-            check_mosaic(tmp_path / "a.dng", header, bayer)
+            check_raw_mosaic(tmp_path / "a.dng", header, bayer)
 
 
 # sequences

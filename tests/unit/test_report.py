@@ -24,10 +24,10 @@ from rfpipe.report.build import make_sections
 from rfpipe.report.drawing import Panel, difference, draw
 from rfpipe.report.glance import result_of
 from rfpipe.report.inputs import load_inputs
-from rfpipe.report.text import number, percent, size
+from rfpipe.report.text import number, rounded_percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import evaluate, relight
-from rfpipe.stages.verification import compare
+from rfpipe.stages.verification import compare_with_captured
 from rfpipe.storage.files import write_result
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
@@ -109,7 +109,9 @@ def test_verification_pictures_and_the_rig_are_shown(tmp_path):
     folder = tmp_path / "grey/brute_force"
     image = np.ones((3, 5, 6, 1), np.float32)
     light = image, 0.01 * image
-    result = compare(image[..., 0], light, 1.1 * image, np.ones(1), (image[0], image[0]))
+    result = compare_with_captured(
+        image[..., 0], light, 1.1 * image, np.ones(1), (image[0], image[0])
+    )
     rig = {
         "drift": 0.004, "moved": 0.3,
         "alarms": ["level 2: the rig or the scene moved"], "saturated": 7, "samples": 700,
@@ -119,7 +121,9 @@ def test_verification_pictures_and_the_rig_are_shown(tmp_path):
     page = built(tmp_path, config)
     assert "NOTICED DURING THE CAPTURE, level 2: the rig or the scene moved" in page.words
     assert "3 relit pictures" in page.words
-    assert f"ABOVE THE ACCEPTED ERROR: verified {percent(result.mean_error)} %" in page.words
+    assert (
+        f"ABOVE THE ACCEPTED ERROR: verified {rounded_percent(result.mean_error)} %" in page.words
+    )
     assert page.source.count('<p class="alarm">') == 2
     assert page.source.count('<tr class="alarm">') == 1
     report = json.loads((tmp_path / "report/results.json").read_text())
@@ -250,7 +254,7 @@ def test_the_report_begins_with_a_table_and_each_scene_with_its_truth(results, i
             table_errors = inputs.errors.set_index(["scene", "method", "pattern"])["error"]
             expected = [table_errors.loc[figure.name, method, name] for name in RELIGHTING_PATTERNS]
             shown = [axis.get_xlabel().partition("\n")[0] for axis in panels[first + 1 : first + 6]]
-            assert shown == [f"error {percent(error)} %" for error in expected]
+            assert shown == [f"error {rounded_percent(error)} %" for error in expected]
     errors = inputs.errors.set_index(["pattern", "scene", "method"])["error"]
     written = pd.read_csv(results / "report" / "tables" / "results.csv")
     for row, shown in zip(written.to_dict("records"), table.rows, strict=True):
@@ -260,7 +264,7 @@ def test_the_report_begins_with_a_table_and_each_scene_with_its_truth(results, i
         assert row["mean_indirect"] == 0 if row["scene"] == "flat" else row["mean_indirect"] > 0
         assert row["minutes"] == pytest.approx((2 * row["pictures"] + 9) / 60, rel=1e-4)
         assert shown[2] == number(row["patterns"])
-        assert shown[table.columns.index("error, %")] == percent(row["mean_error"])
+        assert shown[table.columns.index("error, %")] == rounded_percent(row["mean_error"])
         indirect = shown[table.columns.index("error of indirect light, %")]
         assert (indirect == "none") == (row["scene"] == "flat")
     assert "error of indirect light, %" in table.columns

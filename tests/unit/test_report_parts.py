@@ -18,9 +18,9 @@ from rfpipe.config import Config
 from rfpipe.relighting import picture_errors, picture_squares
 from rfpipe.report import errors, glance, leaves, setup, text
 from rfpipe.report import verification as verification_page
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs
 from rfpipe.report.page import Illustration, Section, Table, latex_table, write_page
-from rfpipe.report.targets import ending_of, missed_targets
+from rfpipe.report.targets import ending_of, missed_target_texts
 from rfpipe.report.text import DASH
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
@@ -51,13 +51,13 @@ def row(level: int, patterns: int, **more: Any) -> dict[str, Any]:
 
 def inputs_of(
     results: Path, config: Config = CONFIG, rows: list[dict[str, Any]] | None = None
-) -> Inputs:
+) -> ReportInputs:
     """Return the inputs of a report whose runs all have the given levels."""
     level_rows = rows or [row(0, 1), row(1, 12, estimated_error=0.01)]
     patterns = sum(it["patterns"] for it in level_rows)
     bundle: Any = SimpleNamespace(names=["truth"])
     runs = [
-        Run(scene, method, config.scenes[scene],
+        RelitAcquisition(scene, method, config.scenes[scene],
             {"levels": level_rows, "patterns": patterns, "options": {}, "bytes": 1000,
              "coaxial": True, "mean_error": 0.01, "level_errors": [0.01]}, bundle)
         for scene, method in config.acquisitions
@@ -70,7 +70,7 @@ def inputs_of(
             for level in ((1, 2, 3) if run.method.startswith("sym") else (1,))
         ]
     )  # fmt: skip
-    return Inputs(config, runs, pd.DataFrame(), speed, results)
+    return ReportInputs(config, runs, pd.DataFrame(), speed, results)
 
 
 # ---- Speed against error
@@ -221,7 +221,7 @@ def test_a_missed_target_is_reported_with_the_reason(
     facts: dict, reason: str, expected: list[str] | None
 ) -> None:
     sentences = [
-        *missed_targets({"target_error": 0.01, "verified": "exact truth", **facts}, reason)
+        *missed_target_texts({"target_error": 0.01, "verified": "exact truth", **facts}, reason)
     ]
     if expected is None:
         assert sentences == []
@@ -238,12 +238,12 @@ def test_a_missed_target_is_reported_with_the_reason(
     ],
 )  # fmt: skip
 def test_small_percentages_have_significant_digits(fraction: Any, expected: str) -> None:
-    assert text.percent(fraction) == expected
+    assert text.rounded_percent(fraction) == expected
 
 
 def test_a_small_target_is_shown_in_reports_and_outcomes() -> None:
     row = {"target_error": 1e-5, "verified": "exact truth", "mean_error": 2.5e-5}
-    (sentence,) = missed_targets(row, "")
+    (sentence,) = missed_target_texts(row, "")
     assert "0.0025 %" in sentence
     assert "0.001 %" in sentence
     pictures = pd.DataFrame({"error": [2.5e-5], "standard_error": [1e-6]})
@@ -255,10 +255,10 @@ def test_a_small_target_is_shown_in_reports_and_outcomes() -> None:
 
 def test_the_scatter_of_few_pictures_is_no_missed_target() -> None:
     row = {"target_error": 0.01, "verified": "9 pictures"}
-    assert [*missed_targets({**row, "mean_error": 0.014}, "", by_few_pictures=True)] == []
-    (sentence,) = missed_targets({**row, "mean_error": 0.016}, "", by_few_pictures=True)
+    assert [*missed_target_texts({**row, "mean_error": 0.014}, "", by_few_pictures=True)] == []
+    (sentence,) = missed_target_texts({**row, "mean_error": 0.016}, "", by_few_pictures=True)
     assert "1.60 %" in sentence
-    (sentence,) = missed_targets({**row, "estimated_error": 0.014}, "", by_few_pictures=True)
+    (sentence,) = missed_target_texts({**row, "estimated_error": 0.014}, "", by_few_pictures=True)
     assert "estimated by the method" in sentence
 
 

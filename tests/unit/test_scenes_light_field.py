@@ -10,8 +10,8 @@ from rfpipe.errors import InputError
 from rfpipe.scenes import room_scene, scene_from_config
 from rfpipe.scenes.light_field import (
     DISTANCE,
-    Panel,
     TexelGrid,
+    TexturedRectangle,
     panels_scene,
     room_panels,
     texel_weights,
@@ -19,7 +19,7 @@ from rfpipe.scenes.light_field import (
 )
 
 SURFACES = ("texture", "white", "white")
-SCREEN = Panel((0, 0, 3), (3, 0, 0), (0, 3, 0), "screen", "white", (1, 1, 1))
+SCREEN = TexturedRectangle((0, 0, 3), (3, 0, 0), (0, 3, 0), "screen", "white", (1, 1, 1))
 SPAN = (37, 29)
 
 
@@ -114,10 +114,10 @@ def test_every_array_sees_only_fronts(views, shape, span):
 
 
 def test_a_ray_without_a_hit_is_named():
-    narrow = Panel((0, 0, 3), (0.1, 0, 0), (0, 0.1, 0), "narrow", "white", (1, 1, 1))
+    narrow = TexturedRectangle((0, 0, 3), (0.1, 0, 0), (0, 0.1, 0), "narrow", "white", (1, 1, 1))
     with pytest.raises(InputError, match=r"pixel \(0, 0\) of view 0 sees no panel"):
         screen((2, 2), (4, 6), narrow)
-    backward = Panel((0, 0, 3), (-3, 0, 0), (0, 3, 0), "backward", "white", (1, 1, 1))
+    backward = TexturedRectangle((0, 0, 3), (-3, 0, 0), (0, 3, 0), "backward", "white", (1, 1, 1))
     with pytest.raises(InputError, match="no panel, or the back of one"):
         screen((1, 1), (4, 6), backward)
 

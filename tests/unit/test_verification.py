@@ -16,7 +16,7 @@ from rfpipe.errors import ConfigError, InputError, VerificationError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.camera import UNKNOWN_DEVIATION
 from rfpipe.provenance import generator
-from rfpipe.stages.verification import Verification, check_bounds, compare
+from rfpipe.stages.verification import Verification, check_bounds, compare_with_captured
 
 FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0}
 
@@ -54,12 +54,14 @@ def test_noise_alone_is_no_error() -> None:
     captured[:, 0, :3], captured[:, 0, 3:] = 1e6, np.nan  # unknown pixels don't count
     floodlit = np.zeros((2, 6, 7, 1), np.float32)
     floodlit[0, 0, 3:] = np.nan
-    verification = compare(truth[..., 0], (captured, variance), truth, np.ones(1), floodlit)
+    verification = compare_with_captured(
+        truth[..., 0], (captured, variance), truth, np.ones(1), floodlit
+    )
     errors, spread = verification.table["error"], verification.table["standard_error"]
     assert (errors == 0).mean() == pytest.approx(0.5, abs=0.15)
     assert (errors > 3 * spread).mean() < 0.02
     relit = truth * np.float32(1.2)
-    off = compare(truth[..., 0], (captured, variance), relit, np.ones(1), floodlit)
+    off = compare_with_captured(truth[..., 0], (captured, variance), relit, np.ones(1), floodlit)
     errors, spread = off.table["error"], off.table["standard_error"]
     assert errors.mean() == pytest.approx(0.2, rel=0.02)
     assert np.std((errors - 0.2) / spread) == pytest.approx(1, abs=0.2)
@@ -73,7 +75,9 @@ def test_a_saturated_glint_does_not_reduce_the_error() -> None:
     variance[:2, 2, 3] = (UNKNOWN_DEVIATION * 2) ** 2
     floodlit = np.zeros((2, 6, 7, 1), np.float32)
     relit = truth * np.float32(1.02)
-    verification = compare(truth[..., 0], (truth, variance), relit, np.ones(1), floodlit)
+    verification = compare_with_captured(
+        truth[..., 0], (truth, variance), relit, np.ones(1), floodlit
+    )
     assert verification.mean_error == pytest.approx(0.02, rel=0.2)
 
 
@@ -83,7 +87,7 @@ def test_the_error_of_a_dark_picture_is_relative_to_a_typical_one() -> None:
     white = np.ones((4, 4, 1), np.float32), np.full((4, 4, 1), 0.25, np.float32)
     relit = dark.copy()
     relit[0, 0, 0] = 0.1
-    verification = compare(pattern, (dark, dark), relit, np.ones(1), white)
+    verification = compare_with_captured(pattern, (dark, dark), relit, np.ones(1), white)
     # half of sqrt(16 (1 - 0.25) / 16): without the floodlit image's own noise
     assert verification.mean_error == pytest.approx(0.1 / (0.5 * np.sqrt(0.75)))
 
@@ -91,7 +95,9 @@ def test_the_error_of_a_dark_picture_is_relative_to_a_typical_one() -> None:
 def test_without_light_there_is_no_error() -> None:
     nothing = np.zeros((1, 3, 4, 1), np.float32)
     dark = nothing, nothing
-    verification = compare(nothing[..., 0], dark, nothing, np.ones(1), (nothing[0], nothing[0]))
+    verification = compare_with_captured(
+        nothing[..., 0], dark, nothing, np.ones(1), (nothing[0], nothing[0])
+    )
     assert np.isnan(verification.mean_error)
     assert json.loads(json.dumps(verification.facts()))["mean_error"] is None
 

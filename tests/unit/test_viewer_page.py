@@ -11,7 +11,7 @@ from tests.results.transports import KINDS, lights, planar, transport_of
 from tests.services.browsers import opened, picture_of
 
 from rfpipe.transport import open_transport, save_transport
-from rfpipe.viewer import View, write_view
+from rfpipe.viewer import PageContent, write_view
 
 KERNELS = ("", "?kernel=javascript")
 
@@ -22,7 +22,7 @@ def test_pictures_equal_those_of_python(chromium: Any, kind: str, tmp_path: Path
     if kind.endswith("uint8"):
         save_transport(transport, tmp_path / "transport.zarr", "uint8")
         transport = open_transport(tmp_path / "transport.zarr")
-    path = write_view(View(transport, "A scene"), tmp_path / "scene.html").page
+    path = write_view(PageContent(transport, "A scene"), tmp_path / "scene.html").page
     for kernel in KERNELS:
         page = opened(chromium, path, kernel)
         assert page.evaluate("document.body.dataset.kernel") == ("javascript" if kernel else "wasm")

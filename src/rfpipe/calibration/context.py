@@ -23,7 +23,7 @@ Float = NDArray[np.float32]
 Double = NDArray[np.float64]
 
 
-Progress = Callable[[str, int], AbstractContextManager[Any]]
+ProgressBar = Callable[[str, int], AbstractContextManager[Any]]
 """Function of a title and a number of pictures, returns a progress bar as a context manager."""
 
 

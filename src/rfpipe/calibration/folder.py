@@ -8,7 +8,7 @@ from pathlib import Path
 from rfpipe.calibration.steps import STEPS
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import StoreError
-from rfpipe.rigs.calibrated import read_parts
+from rfpipe.rigs.calibrated import read_manifest_and_arrays
 from rfpipe.rigs.settings import Flat, differences
 from rfpipe.store import read_manifest, write_arrays, write_manifest
 
@@ -82,7 +82,7 @@ class CalibrationFolder:
                 f"{self.manifest(step)}: the step {step} isn't complete; run `rfpipe calibrate`, "
                 f"which measures it"
             )
-        manifest, arrays = read_parts(self.manifest(step), self.store(step))
+        manifest, arrays = read_manifest_and_arrays(self.manifest(step), self.store(step))
         verdict = Verdict(manifest["standing"], manifest["verdict"])
         return Findings(verdict, manifest["facts"], arrays)
 

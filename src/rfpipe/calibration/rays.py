@@ -155,7 +155,7 @@ def coverage(
             # around the pixel: upper left, upper right, lower right, lower left
             above, below = corners[row], corners[row + 1]
             outlines = np.stack([above[:-1], above[1:], below[1:], below[:-1]], axis=1)
-            column, target, share, area = overlaps(outlines, layout.display_shape)
+            column, target, share, area = overlapped_pixels(outlines, layout.display_shape)
             ray = rays[target]
             in_view = (ray != DARK) & (domain.view_of(ray) == view)
             pixel = row * camera_shape[1] + column
@@ -166,7 +166,7 @@ def coverage(
     return shares, np.asarray(np.bincount(ray, area, count), np.float64)
 
 
-def overlaps(
+def overlapped_pixels(
     outlines: Double, shape: tuple[int, int]
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Double, Double]:
     """Intersect quadrilaterals with the pixels of a picture.

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
-from rfpipe.calibration.context import DeviceError, Progress, StepContext, camera_numbers
+from rfpipe.calibration.context import DeviceError, ProgressBar, StepContext, camera_numbers
 from rfpipe.calibration.folder import CalibrationFolder, StepConditions
 from rfpipe.calibration.steadiness import with_check_pictures
 from rfpipe.calibration.steps import Step, calibrate_settings, steps_of
@@ -64,7 +64,7 @@ def calibrate_rig(
     config: RigConfig,
     folder: Path,
     only: Iterable[str] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressBar | None = None,
     *,
     repeat: bool = False,
 ) -> None:
@@ -84,7 +84,7 @@ def calibrate(
     folder: CalibrationFolder,
     config: RigConfig,
     only: Iterable[str] | None = None,
-    progress: Progress | None = None,
+    progress: ProgressBar | None = None,
     *,
     repeat: bool = False,
 ) -> None:
@@ -189,7 +189,7 @@ def _measure_step(
     devices: tuple[Projector, Camera],
     folder: CalibrationFolder,
     conditions: StepConditions,
-    progress: Progress | None,
+    progress: ProgressBar | None,
 ) -> None:
     """Measure a step, write its findings and log its verdict."""
     bar = partial(progress, step.title) if progress else lambda _: nullcontext()

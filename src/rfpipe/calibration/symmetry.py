@@ -93,7 +93,7 @@ def _mean_square(difference: Double, noise: Double, count: int) -> tuple[float, 
     return float(squares.mean()), spread / float(np.sqrt(min(len(squares), count)))
 
 
-def symmetry_patterns(signs: Double, references: int) -> NDArray[np.bool_]:
+def symmetry_test_patterns(signs: Double, references: int) -> NDArray[np.bool_]:
     """Lit rays of each picture of the test, bool (n, *shape).
 
     First `references` black patterns, then the random patterns, with white ones before, between and
@@ -118,7 +118,7 @@ def is_white_picture(count: int, references: int) -> NDArray[np.bool_]:
 def merged_pictures(
     brackets: Iterable[NDArray[Any]], sensor: Sensor, signs: Double, references: int
 ) -> tuple[SymmetryImages, float]:
-    """Merge brackets (E, ...) under the patterns of `symmetry_patterns`, for `measure_symmetry`.
+    """Merge the brackets (E, ...) of `symmetry_test_patterns` for `measure_symmetry`.
 
     The change of the lamp since the first white picture, interpolated between white pictures, is
     divided out. The largest relative change is returned, too.
@@ -162,7 +162,7 @@ def measure_rig(context: StepContext) -> Findings:
     arrays, settings = context.findings["rays"].arrays, context.settings
     layout, resampling = ProjectorLayout.from_arrays(arrays), Resampling.from_arrays(arrays)
     signs = random_signs(layout.shape, settings.symmetry_patterns, 0)
-    lit = symmetry_patterns(signs, settings.dark_frames)
+    lit = symmetry_test_patterns(signs, settings.dark_frames)
     brackets = context.brackets(map(layout.picture, lit), len(lit), linear=True)
     sensor = ResampledSensor(context.model, resampling)
     images, drift = merged_pictures(brackets, sensor, signs, settings.dark_frames)

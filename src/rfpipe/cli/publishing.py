@@ -153,7 +153,7 @@ def pack(
     it without unpacking, 'rfpipe verify' verifies it, and 'unpack' restores the same files.
     """
     from rfpipe.output import check_no_run, checked_output
-    from rfpipe.store.packed import pack as pack_files
+    from rfpipe.store.packed import pack_files
     from rfpipe.transport.storage import STORE_NAME
 
     checked_output("collection pack", output)
@@ -193,8 +193,7 @@ def unpack(
     """Restore the files of a packed run, and verify each."""
     from rfpipe.output import checked_output
     from rfpipe.store.location import locate
-    from rfpipe.store.packed import PackedPlace, packed_in
-    from rfpipe.store.packed import unpack as unpack_files
+    from rfpipe.store.packed import PackedPlace, packed_in, unpack_files
 
     checked_output("collection unpack", output)
     place = locate(packed)

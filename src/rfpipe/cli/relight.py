@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from rfpipe.cli.transports import (
-    Dual,
+    DualOption,
     Form,
     Level,
     TransportPath,
-    View,
+    ViewOption,
     White,
     enlarged,
     opened,
@@ -77,8 +77,8 @@ def relight(
         typer.Option(min=1, help="Number of pictures in one turn of the panorama, to the right."),
     ] = 1,
     form: Form = "exr",
-    dual: Dual = False,
-    view: View = None,
+    dual: DualOption = False,
+    view: ViewOption = None,
     level: Level = None,
     white: White = None,
 ) -> None:

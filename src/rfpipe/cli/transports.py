@@ -28,7 +28,7 @@ TransportPath = Annotated[
         "s3://) that contains one.",
     ),
 ]
-Dual = Annotated[
+DualOption = Annotated[
     bool,
     typer.Option(
         "--dual",
@@ -44,7 +44,7 @@ Level = Annotated[
 White = Annotated[
     float | None, typer.Option(help="Radiance that becomes white; by default nearly the largest.")
 ]
-View = Annotated[
+ViewOption = Annotated[
     int | None, typer.Option(help="Number of a single view, from 0; by default all views.")
 ]
 Form = Annotated[
@@ -134,7 +134,7 @@ def export(
             "keeps its resolution.",
         ),
     ] = 1,
-    dual: Dual = False,
+    dual: DualOption = False,
     level: Level = None,
     limit_gib: Annotated[
         float, typer.Option(help="Largest size of the output before compression, in GiB.")
@@ -218,8 +218,8 @@ def movie(
     seconds: Annotated[float, typer.Option(help="Duration of the movie in seconds.")] = 6.0,
     fps: Annotated[float, typer.Option(help="Pictures per second.")] = 25.0,
     white: White = None,
-    view: View = None,
-    dual: Dual = False,
+    view: ViewOption = None,
+    dual: DualOption = False,
     level: Level = None,
 ) -> None:
     """Write a movie of a light that moves over the scene, as mp4 (H.264).

@@ -30,8 +30,10 @@ Gamma = Annotated[float, Field(gt=0, le=5)]
 SectionName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]*$")]
 Share = Annotated[float, Field(ge=0, lt=1)]
 Text = Annotated[str, Field(min_length=1)]
-Point = tuple[float, float]
-Corners = Annotated[tuple[tuple[Point, Point, Point, Point], ...], Field(min_length=1)]
+PixelPoint = tuple[float, float]
+Corners = Annotated[
+    tuple[tuple[PixelPoint, PixelPoint, PixelPoint, PixelPoint], ...], Field(min_length=1)
+]
 """Upper left, upper right, lower right and lower left corner (x, y) of each view, in pixels."""
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
@@ -197,7 +199,7 @@ def _with_names(sections: object) -> object:
     if not isinstance(sections, Mapping):
         return sections
     filled = {name: {} if section is None else section for name, section in sections.items()}
-    return merged({name: {"method": name} for name in sections}, filled)
+    return merge_settings({name: {"method": name} for name in sections}, filled)
 
 
 def _add_options_to_schema(schema: dict[str, Any]) -> None:
@@ -216,10 +218,10 @@ MethodSections = Annotated[
 """Methods by the names of their sections."""
 
 
-def merged(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
+def merge_settings(base: Mapping[str, Any], overrides: Mapping[str, Any]) -> dict[str, Any]:
     """Return `base` with other values from `overrides`, merging groups recursively."""
     groups = {
-        name: merged(base[name], value)
+        name: merge_settings(base[name], value)
         for name, value in overrides.items()
         if isinstance(base.get(name), Mapping) and isinstance(value, Mapping)
     }

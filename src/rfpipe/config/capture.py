@@ -19,10 +19,10 @@ from rfpipe.config.base import (
 from rfpipe.units import NumberFormat
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
-Command = Annotated[str, AfterValidator(check_command)]
-Normalization = Literal["none", "per_channel", "total_energy"]
-RigKind = Literal["simulated", "remote", "offline"]
-Watch = Literal["off", "warn", "refuse"]
+ShellCommand = Annotated[str, AfterValidator(check_command)]
+NormalizationMode = Literal["none", "per_channel", "total_energy"]
+CaptureKind = Literal["simulated", "remote", "offline"]
+WatchMode = Literal["off", "warn", "refuse"]
 
 
 class Precautions(NamedTuple):
@@ -40,13 +40,13 @@ class Precautions(NamedTuple):
         Divide images by the brightness of the lamp.
     """
 
-    watch: Watch
+    watch: WatchMode
     check_interval: int
     verification_pictures: int
     divide_out_drift: bool
 
 
-PRECAUTIONS: dict[RigKind, Precautions] = {
+PRECAUTIONS: dict[CaptureKind, Precautions] = {
     "simulated": Precautions("off", 0, 0, False),
     "remote": Precautions("refuse", 8, 9, True),
     # somebody takes these pictures by hand, so no pattern is repeated
@@ -58,7 +58,7 @@ PRECAUTIONS: dict[RigKind, Precautions] = {
 class CaptureConfig(Settings):
     """Display of the patterns and capture of the pictures."""
 
-    rig: RigKind = Field(
+    rig: CaptureKind = Field(
         "simulated",
         description="The rig: simulated; remote, a rig behind 'rfpipe serve'; or offline, with "
         "files from 'rfpipe patterns' and 'rfpipe import'.",
@@ -77,7 +77,7 @@ class CaptureConfig(Settings):
         ge=0,
         le=604_800,
     )
-    placing: Command | None = Field(
+    placing: ShellCommand | None = Field(
         None,
         description="Command that puts the scene named in RFPIPE_SCENE in front of the rig; null: "
         "none.",
@@ -98,7 +98,7 @@ class CaptureConfig(Settings):
         0.05,
         description="Relative error in relit pictures above which a rig doesn't count as coaxial.",
     )
-    watch: Watch = Field(
+    watch: WatchMode = Field(
         "refuse",
         description="Reaction to pictures which show that the rig or its light changed: refuse "
         "ends the capture, warn logs it, off takes no check pictures.",

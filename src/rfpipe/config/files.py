@@ -14,7 +14,7 @@ from rfpipe.config.camera import CameraConfig
 from rfpipe.config.devices import RigConfig
 from rfpipe.config.mistakes import Location, located_mistakes, yaml_text
 from rfpipe.config.model import DEFAULT_METHODS, Config
-from rfpipe.config.reading import Collection, read_collection, read_yaml
+from rfpipe.config.reading import SceneTable, read_collection, read_yaml
 from rfpipe.errors import ConfigError
 
 _MOST_LINES = 30
@@ -61,7 +61,7 @@ def parse_config(data: object, source: str, folders: Sequence[Path] = ()) -> Con
     return _parsed(Config, {**data, "scenes": scenes}, source, collection)
 
 
-def _collection(data: Mapping[str, Any], folders: Sequence[Path]) -> Collection | None:
+def _collection(data: Mapping[str, Any], folders: Sequence[Path]) -> SceneTable | None:
     """Read the collection that the settings name; None without one."""
     name = data.get("collection")
     if not isinstance(name, str) or not name or not isinstance(data.get("scenes") or {}, Mapping):
@@ -151,7 +151,7 @@ def _keys_of(kind: type[Settings], data: Mapping[Any, Any]) -> list[str]:
     return [key for key in data if key in kind.model_fields and key not in shared]
 
 
-def _parsed(kind: type[_S], data: object, source: str, collection: Collection | None = None) -> _S:
+def _parsed(kind: type[_S], data: object, source: str, collection: SceneTable | None = None) -> _S:
     """Check settings; ConfigError with a line for each mistake, at most `_MOST_LINES`."""
     if not isinstance(data, Mapping):
         raise ConfigError(
@@ -175,7 +175,7 @@ def _lines_of(
     kind: type[Settings],
     data: Mapping[Any, Any],
     source: str,
-    collection: Collection | None,
+    collection: SceneTable | None,
 ) -> list[str]:
     """Return a line for each mistake, including those that the first check didn't reach.
 
@@ -230,7 +230,7 @@ def _hidden_by_names(
     ]
 
 
-def _scene_of(location: Location, collection: Collection | None) -> str:
+def _scene_of(location: Location, collection: SceneTable | None) -> str:
     """Return the scene of a collection to which a mistake belongs; empty for none."""
     scene = str(location[1]) if location[:1] == ("scenes",) and len(location) > 1 else ""
     return scene if collection is not None and scene in collection.places else ""

@@ -19,17 +19,17 @@ from rfpipe.config.base import (
     Settings,
     Text,
     group_of,
-    merged,
+    merge_settings,
 )
 from rfpipe.config.camera import CameraConfig
 from rfpipe.config.capture import (
     CaptureConfig,
-    Command,
     MergeConfig,
-    Normalization,
+    NormalizationMode,
     OfflineConfig,
     ReportConfig,
     ResourcesConfig,
+    ShellCommand,
     StorageConfig,
     VerificationConfig,
 )
@@ -105,7 +105,7 @@ class Config(Settings):
     )
     capture: CaptureConfig = group_of(CaptureConfig)
     merge: MergeConfig = group_of(MergeConfig)
-    normalization: Normalization = Field(
+    normalization: NormalizationMode = Field(
         "per_channel",
         description="Scaling of a level to the floodlit image [B.2]: per_channel, total_energy "
         "(as in the thesis) or none.",
@@ -117,7 +117,7 @@ class Config(Settings):
     )
     storage: StorageConfig = group_of(StorageConfig)
     resources: ResourcesConfig = group_of(ResourcesConfig)
-    notify: Command | None = Field(
+    notify: ShellCommand | None = Field(
         None,
         description="Command at the end of a run, with the environment variables RFPIPE_STATUS "
         "(done, failed) and RFPIPE_LOG; null: none.",
@@ -157,7 +157,7 @@ class Config(Settings):
         rig = self.rigs[section.rig] if section.rig else {}
         if not rig and not section.settings:
             return self
-        overrides = merged(rig, section.settings)
+        overrides = merge_settings(rig, section.settings)
         # scenes with equal overrides share the validation
         key, cache = fingerprint(overrides), self._checked_overrides
         if key not in cache:
@@ -181,7 +181,7 @@ class Config(Settings):
             raise ValidationError.from_exception_data("settings", problems)
         plain_scene = self.scenes[scene].model_copy(update={"settings": {}, "rig": None})
         base = {**self._without_scenes, "scenes": {scene: plain_scene}}
-        return Config.model_validate(merged(base, overrides))
+        return Config.model_validate(merge_settings(base, overrides))
 
     @property
     def verification_pictures(self) -> int:
@@ -282,7 +282,7 @@ class Config(Settings):
             if isinstance(methods, Mapping):
                 base = {method: run.get(method) or {} for method in methods}
                 options = {method: {} if it is None else it for method, it in methods.items()}
-                filled[name] = {**scene, "methods": merged(base, options)}
+                filled[name] = {**scene, "methods": merge_settings(base, options)}
         return {**settings, "scenes": filled}
 
     @model_validator(mode="after")

@@ -14,7 +14,7 @@ from typing import Any
 
 import yaml
 
-from rfpipe.config.base import merged
+from rfpipe.config.base import merge_settings
 from rfpipe.config.model import OWN_TO_SCENES
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import ConfigError, InputError
@@ -109,7 +109,7 @@ def _yaml_error(what: str, mark: yaml.Mark | None) -> yaml.constructor.Construct
 
 
 @dataclass(frozen=True)
-class Collection:
+class SceneTable:
     """Scenes of a table.
 
     Attributes
@@ -130,7 +130,7 @@ class Collection:
     problems: list[str] = field(default_factory=list)
 
 
-def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
+def read_collection(file: Path, methods: Mapping[str, object]) -> SceneTable:
     """Read the scenes of a CSV file.
 
     The file has commas, semicolons or tabs, in UTF-8 or UTF-16, and a header that names settings.
@@ -145,7 +145,7 @@ def read_collection(file: Path, methods: Mapping[str, object]) -> Collection:
     ConfigError
         When the file can't be read or has no scenes.
     """
-    collection = Collection(file)
+    collection = SceneTable(file)
     for place, row in _csv_rows(file):
         wrong = []
         name = row.pop("name", "")
@@ -224,9 +224,11 @@ def _scene(row: Mapping[str, Any], methods: Mapping[str, object]) -> dict[str, A
     if "methods" in scene:
         options = scene["methods"]
         sections: dict[str, Any] = {name: {} for name in row.get("methods") or methods}
-        scene["methods"] = merged(sections, options) if isinstance(options, Mapping) else sections
+        scene["methods"] = (
+            merge_settings(sections, options) if isinstance(options, Mapping) else sections
+        )
     overrides = {name: scene.pop(name) for name in OWN_TO_SCENES - {"seed"} if name in scene}
-    return merged(scene, {"settings": overrides}) if overrides else scene
+    return merge_settings(scene, {"settings": overrides}) if overrides else scene
 
 
 def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -234,7 +236,9 @@ def _nested(row: Mapping[str, Any]) -> dict[str, Any]:
     tree: dict[str, Any] = {}
     for name, value in sorted(row.items()):  # methods before methods.dual.tolerance
         parts = name.split(".", 1) if name.startswith("about.") else name.split(".")
-        tree = merged(tree, reduce(lambda inner, part: {part: inner}, reversed(parts), value))
+        tree = merge_settings(
+            tree, reduce(lambda inner, part: {part: inner}, reversed(parts), value)
+        )
     return tree
 
 

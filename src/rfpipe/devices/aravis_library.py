@@ -152,7 +152,7 @@ def counts_of(buffer: int, bits: int, payload: int) -> NDArray[np.uint16]:
 
 @dataclass(frozen=True)
 class AravisNodes:
-    """Settings of an open ArvDevice, given its address; implements `Nodes`."""
+    """Settings of an open ArvDevice, given its address; implements `NodeMap`."""
 
     device: int
 

@@ -70,7 +70,7 @@ class RefusedError(CaptureError):
     """A camera refuses a setting, or is disconnected."""
 
 
-class Nodes(Protocol):
+class NodeMap(Protocol):
     """A camera's settings by name, through one library for GenICam cameras."""
 
     def is_writable(self, name: str) -> bool:
@@ -114,7 +114,7 @@ class GenicamCamera(BracketCamera):
 
     @property
     @abstractmethod
-    def nodes(self) -> Nodes:
+    def nodes(self) -> NodeMap:
         """The open camera's settings."""
 
     @abstractmethod

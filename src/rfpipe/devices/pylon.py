@@ -89,7 +89,7 @@ class PylonCamera(GenicamCamera):
 
 @dataclass(frozen=True)
 class PylonNodes:
-    """Settings of an open `pypylon.pylon.InstantCamera`; implements `Nodes`."""
+    """Settings of an open `pypylon.pylon.InstantCamera`; implements `NodeMap`."""
 
     camera: Any
 

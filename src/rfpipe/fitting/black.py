@@ -6,7 +6,7 @@ from rfpipe.errors import InputError
 from rfpipe.pictures import Header, relative_exposures
 
 
-def check_black(black: Header, picture: Header, names: tuple[str, str]) -> float:
+def black_scale(black: Header, picture: Header, names: tuple[str, str]) -> float:
     """Compute the factor by which a black picture is scaled before it is subtracted.
 
     Parameters

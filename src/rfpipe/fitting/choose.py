@@ -40,7 +40,7 @@ _FEW_EXCHANGES = 3
 
 
 @dataclass(frozen=True)
-class Model:
+class FittingModel:
     """A model of the transport.
 
     Attributes
@@ -57,13 +57,13 @@ class Model:
     by_ray: bool = False
 
 
-LEAST_SQUARES = Model("least squares", solve_least_squares, by_ray=True)
-FOOTPRINTS = Model("footprints with smooth light", solve_footprints)
-NEAR_FAR = Model("near/far", solve_near_far)
+LEAST_SQUARES = FittingModel("least squares", solve_least_squares, by_ray=True)
+FOOTPRINTS = FittingModel("footprints with smooth light", solve_footprints)
+NEAR_FAR = FittingModel("near/far", solve_near_far)
 
 
 @dataclass(frozen=True, eq=False)
-class Fit:
+class FittedTransport:
     """A transport fitted to pictures.
 
     Attributes
@@ -115,7 +115,7 @@ class _Trial:
 
 def fit_transport(
     series: Series, *, coaxial: bool = False, anyway: bool = False, memory_gib: float = 2.0
-) -> Fit:
+) -> FittedTransport:
     """Fit the light transport to pictures, by the model that predicts held-out pictures best.
 
     Pictures of single lights with known directions become the columns of the transport. Their
@@ -161,7 +161,7 @@ def fit_transport(
     transport = best.solve(training, [row])
     transport.lights = series.lights
     transport.noise = _deviation(training)
-    return Fit(
+    return FittedTransport(
         transport,
         best.name,
         training.is_complete,
@@ -172,7 +172,7 @@ def fit_transport(
     )
 
 
-def _fit_lights(series: Series, anyway: bool) -> Fit:
+def _fit_lights(series: Series, anyway: bool) -> FittedTransport:
     """Use pictures of single lights as a transport, with the error of interpolation."""
     assert series.lights is not None
     check = check_lights(series.radiance, series.lights, series.names, series.known)
@@ -190,7 +190,7 @@ def _fit_lights(series: Series, anyway: bool) -> Fit:
     transport.lights = series.lights
     error = check.error if is_known else None
     held_out = len(series.patterns) if is_known else 0
-    return Fit(transport, "single lights", True, error, held_out, notes=tuple(notes))
+    return FittedTransport(transport, "single lights", True, error, held_out, notes=tuple(notes))
 
 
 def _no_better_than_mean(series: Series, error: float) -> list[str]:
@@ -261,7 +261,7 @@ def _faults(series: Series) -> tuple[list[str], list[str]]:
     return [*exchanged, *unknown], unsteady
 
 
-def _models(series: Series, coaxial: bool) -> list[Model]:
+def _models(series: Series, coaxial: bool) -> list[FittingModel]:
     """Return the models for a rig and its pictures, the simplest first."""
     models = [LEAST_SQUARES]
     if not unfit_for_footprints(series.training):
@@ -273,7 +273,7 @@ def _models(series: Series, coaxial: bool) -> list[Model]:
     return models
 
 
-def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | None:
+def _trial(series: Series, models: list[FittingModel], memory_gib: float) -> _Trial | None:
     """Fit the models without held-out pictures and predict these; None if all are needed.
 
     Channels are summed, which saves time.
@@ -298,7 +298,7 @@ def _trial(series: Series, models: list[Model], memory_gib: float) -> _Trial | N
     return _Trial(held_out, errors, mean_error(predicted, held_out))
 
 
-def _error_of(model: Model, training: Series, held_out: Series, memory_gib: float) -> float:
+def _error_of(model: FittingModel, training: Series, held_out: Series, memory_gib: float) -> float:
     """Return the error of a model, fitted to training pictures, in the held-out pictures."""
     if model.by_ray:
         rays = np.flatnonzero(training.known)

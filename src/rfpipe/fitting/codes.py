@@ -42,7 +42,7 @@ _SAME = 0.1  # share of the range of means up to which a picture is as bright as
 _CLEARER = 3.0  # ratio of scatters from which one order of pictures is clearly better
 _LEAST_STEPS = 3  # sinusoids from which a phase can be computed
 
-Place = int | None  # index of a picture from 0, None without such a picture
+PictureIndex = int | None  # index of a picture from 0, None without such a picture
 Line = tuple[int, Float]  # axis (1 for columns, 0 for rows) and weights along it
 
 
@@ -136,8 +136,8 @@ def code_patterns(name: str, pictures: int, means: ArrayLike | None = None) -> P
 
 
 def place_white_and_black(
-    means: ArrayLike, candidates: Sequence[tuple[Place, Place]]
-) -> tuple[Place, Place]:
+    means: ArrayLike, candidates: Sequence[tuple[PictureIndex, PictureIndex]]
+) -> tuple[PictureIndex, PictureIndex]:
     """Identify the white and the black picture by the pictures' mean light.
 
     White is among the brightest and black among the darkest pictures. A picture in the middle of a
@@ -183,8 +183,8 @@ def place_white_and_black(
 
 
 def _candidates(
-    pictures: int, boundary: int, white: Place, black: Place, missing: str
-) -> list[tuple[Place, Place]]:
+    pictures: int, boundary: int, white: PictureIndex, black: PictureIndex, missing: str
+) -> list[tuple[PictureIndex, PictureIndex]]:
     """Return possible places of white and black, likeliest first.
 
     The first pictures of a code have the coarsest stripes: they are as bright as white or as dark
@@ -203,7 +203,7 @@ def _candidates(
     last = pictures - 1
     if missing:
         ends = dict.fromkeys([last, boundary, 0])
-        pairs: list[tuple[Place, Place]] = []
+        pairs: list[tuple[PictureIndex, PictureIndex]] = []
         for at in ends:
             pairs += [(at, None)] if missing != "white" else []
             pairs += [(None, at)] if missing != "black" else []
@@ -310,7 +310,7 @@ def _layout(code: _Code, pictures: int) -> tuple[list[Line], int]:
 
 def _places(
     code: _Code, pictures: int, extras: int, boundary: int, means: ArrayLike | None
-) -> tuple[Place, Place]:
+) -> tuple[PictureIndex, PictureIndex]:
     """Return the indices of white and black, stated or identified by mean light."""
     white, black = (
         None if place in ("", "none") else _index(code, place, pictures)
@@ -336,7 +336,7 @@ def _places(
         raise InputError(f"--patterns {code.name}: {error}") from None
 
 
-def _check_sums(code: _Code, light: Double, white: Place, black: Place) -> None:
+def _check_sums(code: _Code, light: Double, white: PictureIndex, black: PictureIndex) -> None:
     """Refuse means (K,) of Gray code with complements whose white or black was exchanged.
 
     A picture and its complement have white's light together. Where one of white and black is at

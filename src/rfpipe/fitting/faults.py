@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.fitting.known_sums import BRIGHTEST, LIT, Fault, KnownSums
+from rfpipe.fitting.known_sums import BRIGHTEST, LIT, KnownSums, PictureFault
 from rfpipe.fitting.steadiness import unsteady
 
 Float = NDArray[np.float32]
@@ -53,7 +53,7 @@ def faults_of(
     camera_shape: tuple[int, int],
     projector_shape: tuple[int, int],
     names: Sequence[str],
-) -> list[Fault]:
+) -> list[PictureFault]:
     """Find exchanged pictures, motion between pictures, and flicker of the lamp.
 
     Parameters
@@ -248,9 +248,9 @@ def _apply(order: Order, exchange: Exchange) -> Order:
 
 def _exchanged_by_sums(
     sums: KnownSums, pictures: Float, view: _View, order: Order, names: Sequence[str]
-) -> tuple[list[Fault], Order]:
+) -> tuple[list[PictureFault], Order]:
     """Find exchanged pictures by combinations that should vanish, and the order without them."""
-    faults: list[Fault] = []
+    faults: list[PictureFault] = []
     if not sums.null.any():
         return faults, order
     gram = _gram(pictures)
@@ -349,9 +349,9 @@ def _is_smoother(after: Float, before: Float, limit: float) -> bool:
 
 def _exchanged_by_code(
     view: _View, order: Order, names: Sequence[str]
-) -> tuple[list[Fault], Order]:
+) -> tuple[list[PictureFault], Order]:
     """Find exchanged pictures by the decoded map's smoothness, and the order without them."""
-    faults: list[Fault] = []
+    faults: list[PictureFault] = []
     exchanges = view.code.exchanges()
     for _ in range(_MOST if exchanges else 0):
         word = view.words(order)
@@ -377,7 +377,7 @@ def _exchanged_by_code(
     return faults, order
 
 
-def _unknown_codes(view: _View, order: Order, rays: int) -> list[Fault]:
+def _unknown_codes(view: _View, order: Order, rays: int) -> list[PictureFault]:
     """Find codewords in the pictures that no projector ray has, of many pixels."""
     bits = len(view.code.bits)
     # a code of both axes has at most two bits more than it needs for all rays together
@@ -391,12 +391,12 @@ def _unknown_codes(view: _View, order: Order, rays: int) -> list[Fault]:
         f"{share:.0%} of the lit pixels show codes that no ray of the projector has: are the "
         "code's size and order those that were shown?"
     )
-    return [Fault("unknown codes", tuple(range(len(order))), message)]
+    return [PictureFault("unknown codes", tuple(range(len(order))), message)]
 
 
 def _exchange_fault(
     exchanges: Sequence[Exchange], order: Order, names: Sequence[str], reason: str
-) -> Fault:
+) -> PictureFault:
     """Return the fault of an exchange, or of several that explain the pictures equally well."""
     said = [
         " and ".join(f"{names[order[i]]} with {names[order[j]]}" for i, j in exchange)
@@ -404,7 +404,7 @@ def _exchange_fault(
     ]
     pictures = {int(order[at]) for exchange in exchanges for pair in exchange for at in pair}
     which = said[0] if len(said) == 1 else f"{said[0]} (or {', or '.join(said[1:])})"
-    return Fault(
+    return PictureFault(
         "exchanged",
         tuple(sorted(pictures)),
         f"pictures are exchanged: {which}; {reason}. Give each picture the name of the other",

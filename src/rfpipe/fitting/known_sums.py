@@ -21,7 +21,7 @@ _NULL = 1e-6  # eigenvalues of P P^T up to this share of the largest are 0
 
 
 @dataclass(frozen=True)
-class Fault:
+class PictureFault:
     """A fault of a set of pictures.
 
     Attributes

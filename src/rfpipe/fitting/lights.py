@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.lights.interpolation import (
-    Model,
+    KrigingModel,
     angles_between,
     covariance,
     interpolate,
@@ -42,7 +42,7 @@ _MISPLACED_BY = 1.5
 _MOST_PLACED = 256
 """More lights aren't compared with other directions: the time grows with their fourth power."""
 
-_MODEL = Model("none", 2.0, 0.5, 0.1, "exponential")
+_MODEL = KrigingModel("none", 2.0, 0.5, 0.1, "exponential")
 """Kriging model by which pictures are compared with those of other directions."""
 
 

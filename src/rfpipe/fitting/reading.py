@@ -18,12 +18,12 @@ from tqdm import tqdm
 
 from rfpipe.errors import InputError
 from rfpipe.fitting.binning import Bins, bin_image, binned_shape, count_known, proposed_bins
-from rfpipe.fitting.black import check_black
+from rfpipe.fitting.black import black_scale
 from rfpipe.fitting.folder import Listing, default_curve, list_pictures
 from rfpipe.fitting.patterns import light_of, linear_light
 from rfpipe.fitting.series import Float, Series
 from rfpipe.photometry.camera import are_saturated
-from rfpipe.pictures import check_mosaic, encoding_note, relative_exposures
+from rfpipe.pictures import check_raw_mosaic, encoding_note, relative_exposures
 from rfpipe.pictures.files import Header, Part
 from rfpipe.units import SATURATION_FRACTION
 from rfpipe.weights import Curve, curve_slope
@@ -40,7 +40,7 @@ MOST_SATURATED = 0.01
 
 
 @dataclass(frozen=True)
-class Light:
+class PatternLight:
     """Linear light of one pattern, averaged over squares of pixels.
 
     Attributes
@@ -60,7 +60,7 @@ class Development(Protocol):
     def saturated(self, brackets: Iterator[Bracket]) -> Mask:
         """Return the pixels that saturate in any of the pictures, bool (H, W)."""
 
-    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+    def light(self, bracket: Bracket, known: Mask, side: int) -> PatternLight:
         """Return the light of one pattern, averaged over the known pixels of squares."""
 
 
@@ -195,7 +195,7 @@ class SingleExposures:
             divisors = divisors * intensities
         dark = [linear_light(part, curve) / exposure_of[str(part)] for (part,) in unlit]
         for (part,) in listing.dark:
-            scale = check_black(part.header, parts[0].header, (str(part), str(parts[0])))
+            scale = black_scale(part.header, parts[0].header, (str(part), str(parts[0])))
             dark.append(linear_light(part, curve) * scale / exposures[0])
         black: Any = np.mean(dark, axis=0, dtype=np.float64) if dark else None
         return cls(curve, dict(zip(names, divisors, strict=True)), black)
@@ -211,7 +211,7 @@ class SingleExposures:
                 white = np.inf
         return np.asarray((highest >= np.ceil(SATURATION_FRACTION * white)).any(axis=-1))
 
-    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+    def light(self, bracket: Bracket, known: Mask, side: int) -> PatternLight:
         """Return a picture's light over its exposure; its variance is due to rounding."""
         (part,) = bracket
         divisor, picture = self.divisors[str(part)], part.read()
@@ -221,7 +221,7 @@ class SingleExposures:
             radiance -= bin_image(self.black, side, known)
         step = 0.0 if picture.header.kind == "light" else 1 / picture.white
         rounding = np.square(curve_slope(light, self.curve) * step / divisor) / 12
-        return Light(radiance.astype(np.float32), rounding.astype(np.float32))
+        return PatternLight(radiance.astype(np.float32), rounding.astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -249,10 +249,10 @@ class MergedBrackets:
         header = part.header
         if header.kind != "counts":
             raise InputError(f"{part}: holds light; the settings' camera counts")
-        check_mosaic(part.file, header, camera.bayer)
+        check_raw_mosaic(part.file, header, camera.bayer)
         shape = camera.frame_shape(header.size, header.channels if camera.bayer is None else 3)
         for dark in listing.dark:
-            check_black(dark[0].header, header, (str(dark[0]), str(part)))
+            black_scale(dark[0].header, header, (str(dark[0]), str(part)))
         frames = [_frames(bracket, shape) for bracket in (*unlit, *listing.dark)]
         black: Any = np.full(shape, camera.black_level_counts, np.float32)
         if frames:
@@ -264,9 +264,9 @@ class MergedBrackets:
         masks = [are_saturated(*self._merged(bracket)).any(axis=-1) for bracket in brackets]
         return np.asarray(np.logical_or.reduce(masks))
 
-    def light(self, bracket: Bracket, known: Mask, side: int) -> Light:
+    def light(self, bracket: Bracket, known: Mask, side: int) -> PatternLight:
         """Return the merged light of a bracket, with its variance."""
-        return Light(*(bin_image(image, side, known) for image in self._merged(bracket)))
+        return PatternLight(*(bin_image(image, side, known) for image in self._merged(bracket)))
 
     def _merged(self, bracket: Bracket) -> tuple[Float, Float]:
         merged = self.merge(_frames(bracket, self.frame_shape)[None])

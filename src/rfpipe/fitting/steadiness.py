@@ -22,7 +22,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.fitting.known_sums import BRIGHTEST, LIT, Fault, KnownSums
+from rfpipe.fitting.known_sums import BRIGHTEST, LIT, KnownSums, PictureFault
 
 Float = NDArray[np.float32]
 Double = NDArray[np.float64]
@@ -65,7 +65,7 @@ def unsteady(
     projector_shape: tuple[int, int],
     sums: KnownSums,
     names: Sequence[str],
-) -> list[Fault]:
+) -> list[PictureFault]:
     """Find motion and flicker in pictures that are in their right order."""
     if len(sums.pairs) < _FEWEST or min(shape) < 16:
         return []
@@ -142,7 +142,7 @@ def _stripes(patterns: Float, shape: tuple[int, int], groups: Iterable[tuple[int
     return np.array(contrast)
 
 
-def _motion(steadiness: _Steadiness, names: Sequence[str]) -> list[Fault]:
+def _motion(steadiness: _Steadiness, names: Sequence[str]) -> list[PictureFault]:
     """Find the picture from which the camera's view is shifted against the previous pictures."""
     shifts, count = steadiness.shifts, len(steadiness.shifts)
     usable = np.isfinite(steadiness.errors[:, :3]).all()
@@ -169,10 +169,10 @@ def _motion(steadiness: _Steadiness, names: Sequence[str]) -> list[Fault]:
         f"{names[earlier[-1]]}: camera, projector or scene moved. Fix them and take the pictures "
         "again, or bin the camera's pixels so that the shift is small"
     )
-    return [Fault("motion", tuple(later), message)]
+    return [PictureFault("motion", tuple(later), message)]
 
 
-def _flicker(steadiness: _Steadiness, stripes: Double) -> list[Fault]:
+def _flicker(steadiness: _Steadiness, stripes: Double) -> list[PictureFault]:
     """Find flicker: gains that scatter, apart from what the fineness of stripes takes."""
     # fine stripes are darker than white, where a projector's pixels affect their neighbours
     terms = np.stack([np.ones_like(stripes), stripes, stripes**2], axis=1)
@@ -196,4 +196,4 @@ def _flicker(steadiness: _Steadiness, stripes: Double) -> list[Fault]:
         "deviation against white. Expose for a whole number of the lamp's periods, let the "
         "projector warm up, and switch off the camera's automatic exposure"
     )
-    return [Fault("flicker", pictures, message)]
+    return [PictureFault("flicker", pictures, message)]

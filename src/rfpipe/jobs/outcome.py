@@ -22,7 +22,7 @@ _MAX_NAMED = 4
 
 
 @dataclass(frozen=True)
-class Failure:
+class FailedJob:
     """Failed job.
 
     Attributes
@@ -41,7 +41,7 @@ class Failure:
     level: str = ""
 
     @classmethod
-    def of_log(cls, stage: str, log: str) -> Failure:
+    def of_log(cls, stage: str, log: str) -> FailedJob:
         """Return the failure of a job, by its rule and its log, results/{scene}/{method}/..."""
         folders = Path(log).parts[1:-1]
         if len(folders) < 2 or folders[0] == "report":
@@ -60,7 +60,7 @@ class FailedJobs(logging.Handler):
 
     def __init__(self) -> None:
         super().__init__()
-        self._jobs: dict[str, tuple[Failure, list[Path]]] = {}
+        self._jobs: dict[str, tuple[FailedJob, list[Path]]] = {}
 
     def emit(self, record: logging.LogRecord) -> None:
         """Record the job if the record reports a failed one."""
@@ -70,9 +70,9 @@ class FailedJobs(logging.Handler):
             job: Any = record
             log = str(job.log[0]) if job.log else ""
             outputs = [Path(str(output)) for output in job.output]
-            self._jobs[f"{job.rule_name} {log}"] = Failure.of_log(job.rule_name, log), outputs
+            self._jobs[f"{job.rule_name} {log}"] = FailedJob.of_log(job.rule_name, log), outputs
 
-    def failures(self) -> list[Failure]:
+    def failures(self) -> list[FailedJob]:
         """Return the failures, except of jobs that succeeded when they were tried again."""
         return [
             failure
@@ -81,7 +81,7 @@ class FailedJobs(logging.Handler):
         ]
 
 
-def write_failures(results: Path, failures: Iterable[Failure]) -> None:
+def write_failures(results: Path, failures: Iterable[FailedJob]) -> None:
     """Write the failures of a run, for `read_failures`."""
     write_manifest(results / FAILED, {"failed": [vars(failure) for failure in failures]})
 
@@ -91,14 +91,14 @@ def clear_failures(results: Path) -> None:
     (results / FAILED).unlink(missing_ok=True)
 
 
-def read_failures(results: Path) -> list[Failure]:
+def read_failures(results: Path) -> list[FailedJob]:
     """Return the failures of the last run; an empty list if it succeeded."""
     with suppress(StoreError, KeyError, TypeError):
-        return [Failure(**failure) for failure in read_manifest(results / FAILED)["failed"]]
+        return [FailedJob(**failure) for failure in read_manifest(results / FAILED)["failed"]]
     return []
 
 
-def failure_line(failures: list[Failure], folder: Path) -> str:
+def failure_line(failures: list[FailedJob], folder: Path) -> str:
     """Describe failures in a line, each with the path of its log.
 
     `folder` is the run's folder, relative to the current one.

@@ -56,7 +56,7 @@ _NEAR = 0.3
 """Angle from a light, over the lights' spacing, within which its picture is blended in."""
 
 
-class Model(NamedTuple):
+class KrigingModel(NamedTuple):
     """Parameters of a kriging model: trend and covariance."""
 
     trend: str
@@ -74,7 +74,7 @@ class Interpolation:
     ----------
     directions : ndarray of float64, shape (L, 3)
         Unit vectors towards the lights.
-    models : tuple of Model
+    models : tuple of KrigingModel
     shares : tuple of float
         Of the models; they sum to 1. Without models, each direction takes its nearest light.
     solutions : tuple of ndarray of float64, shape (L + trend functions, L)
@@ -86,7 +86,7 @@ class Interpolation:
     """
 
     directions: Double
-    models: tuple[Model, ...]
+    models: tuple[KrigingModel, ...]
     shares: tuple[float, ...]
     solutions: tuple[Double, ...]
     spacing: float
@@ -150,7 +150,7 @@ def between(lights: NDArray[np.floating]) -> Interpolation:
     unknown = np.full(len(directions), np.nan)
     if not 3 < len(directions) <= MOST_LIGHTS:
         return Interpolation(directions, (), (), (), spacing, unknown)
-    model = Model("constant", 2.0, min(2 * spacing, 1.0), 0.05, "exponential")
+    model = KrigingModel("constant", 2.0, min(2 * spacing, 1.0), 0.05, "exponential")
     return Interpolation(
         directions, (model,), (1.0,), (_solution(model, directions),), spacing, unknown
     )
@@ -244,17 +244,17 @@ class _Compared(NamedTuple):
 class _Averaged(NamedTuple):
     """Models, averaged: shares that sum to 1, residuals (F, 2 L) and their mean error."""
 
-    models: list[Model]
+    models: list[KrigingModel]
     shares: list[float]
     residual: Double
     error: float
 
 
-def _averaged(compared: _Compared, models: list[Model]) -> _Averaged:
+def _averaged(compared: _Compared, models: list[KrigingModel]) -> _Averaged:
     """Average the models of the least errors at lights that are left out."""
     angles = angles_between(compared.directions, compared.directions)
-    scored: list[tuple[float, Model, Double]] = []
-    inverses: dict[Model, Double] = {}
+    scored: list[tuple[float, KrigingModel, Double]] = []
+    inverses: dict[KrigingModel, Double] = {}
     for model in models:
         alike = model._replace(trend="")
         if alike not in inverses:
@@ -274,7 +274,7 @@ def _averaged(compared: _Compared, models: list[Model]) -> _Averaged:
     return _Averaged([model for _, model, _ in best], shares.tolist(), mean, error)
 
 
-def _residuals(model: Model, inverse: Double, compared: _Compared) -> Double | None:
+def _residuals(model: KrigingModel, inverse: Double, compared: _Compared) -> Double | None:
     """Return residuals of lights that are left out, as weights (F, 2 L) of pictures and shading.
 
     With ``B = K^-1 - K^-1 F (F^T K^-1 F)^-1 F^T K^-1``, F the trend functions, the residual of
@@ -296,7 +296,7 @@ def _residuals(model: Model, inverse: Double, compared: _Compared) -> Double | N
     return np.hstack([rows, -rows if model.trend == "shading" else np.zeros_like(rows)])
 
 
-def _solution(model: Model, directions: Double) -> Double:
+def _solution(model: KrigingModel, directions: Double) -> Double:
     """Return the matrix (L + p, L) that turns covariances and p trend functions into weights."""
     count, functions = len(directions), trend(model.trend, directions)
     angles = angles_between(directions, directions)
@@ -308,30 +308,30 @@ def _solution(model: Model, directions: Double) -> Double:
     return solution
 
 
-def _linear_models(directions: Double) -> Iterator[Model]:
+def _linear_models(directions: Double) -> Iterator[KrigingModel]:
     """Yield the models that are linear in the pictures."""
     forms, scales = ("exponential", "matern"), np.radians([8, 15, 30, 60, 120]).tolist()
     nuggets, names = (0.01, 0.05, 0.2, 0.6), ("none", "constant", "linear")
     for form, scale, a, nugget in product(forms, scales, (0, 2, 20), nuggets):
         for name in names:
-            yield Model(name, a, scale, nugget, form)
+            yield KrigingModel(name, a, scale, nugget, form)
     for name in ("linear", "harmonics2", "harmonics3"):
         if 1.5 * trend(name, directions).shape[1] < len(directions):
-            yield Model(name, 0, 0, 1, "exponential")
+            yield KrigingModel(name, 0, 0, 1, "exponential")
             for scale, nugget in product(np.radians([10, 25, 60]).tolist(), (0.05, 0.5)):
-                yield Model(name, 0, scale, nugget, "exponential")
+                yield KrigingModel(name, 0, scale, nugget, "exponential")
 
 
-def _shading_models() -> Iterator[Model]:
+def _shading_models() -> Iterator[KrigingModel]:
     """Yield the models with the Lambertian trend of each pixel."""
-    yield Model("shading", 0, 0, 1, "exponential")
+    yield KrigingModel("shading", 0, 0, 1, "exponential")
     for form in ("exponential", "matern"):
         for scale in np.radians([8, 15, 30, 60, 120]):
             for nugget in (0.05, 0.2, 0.6, 2):
-                yield Model("shading", 0, float(scale), nugget, form)
+                yield KrigingModel("shading", 0, float(scale), nugget, form)
 
 
-def covariance(angles: Double, model: Model) -> Double:
+def covariance(angles: Double, model: KrigingModel) -> Double:
     """Return the covariance of a model at angles in radians, without its nugget."""
     if not model.scale:
         values: Double = np.zeros_like(angles)

@@ -112,7 +112,7 @@ class Sums:
         return values.reshape(self.count, self.length, 3)
 
 
-class Rig(NamedTuple):
+class TracedScene(NamedTuple):
     """A scene of Mitsuba between cameras and projectors, and the maximum vertices of a path.
 
     Emitters of the scene are ignored. With 1 vertex, only direct light is traced.

@@ -26,7 +26,7 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.mitsuba.beams import Rig, Sums, begin, is_specular, passes_straight, survival
+from rfpipe.mitsuba.beams import Sums, TracedScene, begin, is_specular, passes_straight, survival
 from rfpipe.mitsuba.world import MERGING_RADIUS
 
 Single = NDArray[np.float32]
@@ -71,7 +71,7 @@ class ChainEnds(NamedTuple):
     footprint: Single
 
 
-def trace_chains(rig: Rig, samples: int, seed: int) -> ChainEnds:
+def trace_chains(rig: TracedScene, samples: int, seed: int) -> ChainEnds:
     """Trace `samples` (a power of 4) specular chains from each camera pixel.
 
     A chain continues through mirrors and lenses only; each diffuse surface that it meets is an end.
@@ -238,7 +238,9 @@ def _cells(
     return np.concatenate(hashes), np.concatenate(indices)
 
 
-def trace_particles(rig: Rig, sums: Sums, samples: int, seed: int, *, ends: Ends | None) -> None:
+def trace_particles(
+    rig: TracedScene, sums: Sums, samples: int, seed: int, *, ends: Ends | None
+) -> None:
     """Trace `samples` paths from each projector pixel of `sums`; add caustics to its column.
 
     Paths are merged with `ends` of the camera's chains, if there are any.
@@ -265,7 +267,7 @@ class _Vertex(NamedTuple):
 class _ParticleTracer:
     """Bounces of paths from the projector, and their connections with the camera."""
 
-    rig: Rig
+    rig: TracedScene
     sums: Sums
     column: Any
     ends: Ends | None

@@ -28,7 +28,7 @@ _SHARPEST_ALPHA = 0.05
 _MAX_LISTED = 3  # surfaces in a sentence
 
 
-class Surface(NamedTuple):
+class ShapeMaterial(NamedTuple):
     """One shape of a scene and its material.
 
     Attributes
@@ -72,7 +72,7 @@ class Surface(NamedTuple):
         return self.alpha is not None and self.alpha < _SHARPEST_ALPHA
 
 
-def surfaces_of(scene: Any) -> list[Surface]:
+def shape_materials(scene: Any) -> list[ShapeMaterial]:
     """List the surfaces of a loaded scene, including those in groups of shapes."""
     mi = load_mitsuba()
     nodes = mi.traverse(scene).hierarchy
@@ -84,10 +84,10 @@ def surfaces_of(scene: Any) -> list[Surface]:
     ]
 
 
-def _surface(shape: Any) -> Surface:
+def _surface(shape: Any) -> ShapeMaterial:
     bsdf = shape.bsdf()
     media = [it for it in (shape.interior_medium(), shape.exterior_medium()) if it is not None]
-    return Surface(
+    return ShapeMaterial(
         f"{shape.id() or shape.class_name()} ({bsdf.class_name()})",
         int(bsdf.flags()),
         _sharpest(bsdf),
@@ -111,7 +111,7 @@ def _sharpest(bsdf: Any) -> float | None:
     return min(lobes.values(), default=None)
 
 
-def check_traceable(surfaces: list[Surface], name: str) -> None:
+def check_traceable(surfaces: list[ShapeMaterial], name: str) -> None:
     """Raise InputError if a surface bounds a heterogeneous medium, which can't be traced."""
     graded = [surface.name for surface in surfaces if surface.is_graded]
     if graded:
@@ -121,7 +121,7 @@ def check_traceable(surfaces: list[Surface], name: str) -> None:
         )
 
 
-def choose_bounces(surfaces: list[Surface]) -> Choice:
+def choose_bounces(surfaces: list[ShapeMaterial]) -> Choice:
     """Choose the maximum number of vertices of a path."""
     bodies = [surface.name for surface in surfaces if surface.is_filled]
     if bodies:
@@ -133,7 +133,7 @@ def choose_bounces(surfaces: list[Surface]) -> Choice:
     return Choice("bounces", _MATT_BOUNCES, "no surface refracts light, and none bounds a medium")
 
 
-def choose_caustics(surfaces: list[Surface], bounces: int) -> Choice:
+def choose_caustics(surfaces: list[ShapeMaterial], bounces: int) -> Choice:
     """Choose whether to trace light from the projector through mirrors and lenses."""
     smooth = [surface.name for surface in surfaces if surface.is_smooth]
     if not smooth:
@@ -144,7 +144,7 @@ def choose_caustics(surfaces: list[Surface], bounces: int) -> Choice:
     return Choice("caustics", True, reason)
 
 
-def omissions_of(surfaces: list[Surface], bounces: int, *, caustics: bool) -> list[str]:
+def omissions_of(surfaces: list[ShapeMaterial], bounces: int, *, caustics: bool) -> list[str]:
     """Describe the light of a scene that isn't recorded correctly, one sentence per cause."""
     smooth = [surface.name for surface in surfaces if surface.is_smooth]
     sharp = [surface.name for surface in surfaces if surface.is_sharp]

@@ -14,8 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.provenance import generator
 
-Part = dict[str, Any]
-Picture = NDArray[np.float32]
+SceneDict = dict[str, Any]
+Texture = NDArray[np.float32]
 Vector = Sequence[float] | NDArray[np.float64]
 
 # Letters of five columns (a byte each, lowest bit on top) and seven rows.
@@ -27,12 +27,12 @@ _FONT = {
 _LINE = 9  # rows of a line, with two rows of spacing
 
 
-def matt(*colour: float) -> Part:
+def matt(*colour: float) -> SceneDict:
     """A diffuse surface."""
     return {"type": "diffuse", "reflectance": _rgb(colour)}
 
 
-def textured(picture: Picture) -> Part:
+def textured(picture: Texture) -> SceneDict:
     """A diffuse surface with the albedos of a picture."""
     return {
         "type": "diffuse",
@@ -46,33 +46,33 @@ def textured(picture: Picture) -> Part:
     }
 
 
-def gloss(roughness: float, *colour: float) -> Part:
+def gloss(roughness: float, *colour: float) -> SceneDict:
     """A coloured plastic with a rough coating."""
     return {"type": "roughplastic", "alpha": roughness, "diffuse_reflectance": _rgb(colour)}
 
 
-def metal(roughness: float, *colour: float) -> Part:
+def metal(roughness: float, *colour: float) -> SceneDict:
     """A rough metal with a specular reflectance."""
     rough = {"type": "roughconductor", "alpha": roughness, "specular_reflectance": _rgb(colour)}
     return mirror() | rough
 
 
-def mirror(reflectance: float = 0.9) -> Part:
+def mirror(reflectance: float = 0.9) -> SceneDict:
     """A smooth mirror with a reflectance."""
     return {"type": "conductor", "material": "none", "specular_reflectance": _rgb((reflectance,))}
 
 
-def glass(index: float = 1.5) -> Part:
+def glass(index: float = 1.5) -> SceneDict:
     """A smooth boundary of glass with a refractive index, in air."""
     return {"type": "dielectric", "int_ior": index, "ext_ior": 1.0}
 
 
-def both_sides(material: Part) -> Part:
+def both_sides(material: SceneDict) -> SceneDict:
     """A material for both sides of a surface."""
     return {"type": "twosided", "material": material}
 
 
-def body(shape: Part, depth: float, forward: float, *colour: float) -> Part:
+def body(shape: SceneDict, depth: float, forward: float, *colour: float) -> SceneDict:
     """A closed shape filled with a translucent medium, whose boundary doesn't refract.
 
     `depth` is the mean free path, `forward` the mean cosine of the scattering angle, `colour` the
@@ -87,7 +87,7 @@ def body(shape: Part, depth: float, forward: float, *colour: float) -> Part:
     return {**shape, "bsdf": {"type": "null"}, "interior": medium}
 
 
-def sheet(centre: Vector, right: Vector, up: Vector, material: Part) -> Part:
+def sheet(centre: Vector, right: Vector, up: Vector, material: SceneDict) -> SceneDict:
     """A two-sided parallelogram.
 
     `right` and `up` point from its centre to the midpoints of adjacent edges, along a texture's u
@@ -98,7 +98,7 @@ def sheet(centre: Vector, right: Vector, up: Vector, material: Part) -> Part:
     return {"type": "rectangle", "to_world": to_world, "bsdf": both_sides(material)}
 
 
-def box(centre: Vector, size: Vector, degrees: float, material: Part) -> Part:
+def box(centre: Vector, size: Vector, degrees: float, material: SceneDict) -> SceneDict:
     """A box of a width, height and depth, rotated about the vertical axis."""
     turn = np.radians(degrees)
     half = np.asarray(size) / 2
@@ -108,19 +108,19 @@ def box(centre: Vector, size: Vector, degrees: float, material: Part) -> Part:
     return {"type": "cube", "to_world": to_world, "bsdf": material}
 
 
-def ball(centre: Vector, radius: float, material: Part) -> Part:
+def ball(centre: Vector, radius: float, material: SceneDict) -> SceneDict:
     """A sphere."""
     return {"type": "sphere", "center": _floats(centre), "radius": float(radius), "bsdf": material}
 
 
-def pillar(foot: Vector, height: float, radius: float, material: Part) -> Part:
+def pillar(foot: Vector, height: float, radius: float, material: SceneDict) -> SceneDict:
     """An upright cylinder, open at both ends."""
     top = _floats([foot[0], foot[1] + height, foot[2]])
     ends = {"p0": _floats(foot), "p1": top}
     return {"type": "cylinder", **ends, "radius": float(radius), "bsdf": material}
 
 
-def lathe(foot: Vector, profile: ArrayLike, material: Part) -> Part:
+def lathe(foot: Vector, profile: ArrayLike, material: SceneDict) -> SceneDict:
     """A surface of revolution about a vertical axis, as a mesh; closed if it ends on the axis.
 
     The profile has radii and heights (K, 2), upwards from the foot of the axis; normals point away
@@ -148,7 +148,7 @@ def lettering(
     paper: Sequence[float] = (0.8, 0.78, 0.7),
     *,
     fine: int = 4,
-) -> Picture:
+) -> Texture:
     """A texture of lines of capital letters; KeyError for letters that the font lacks.
 
     Lines must have the same length. A dot of the font is `fine` x `fine` pixels.
@@ -168,13 +168,13 @@ def checks(
     columns: int,
     dark: Sequence[float] = (0.1, 0.12, 0.3),
     light: Sequence[float] = (0.8, 0.75, 0.55),
-) -> Picture:
+) -> Texture:
     """A chessboard texture of `rows` by `columns` squares of 8 x 8 pixels."""
     weight = np.add.outer(np.arange(rows), np.arange(columns)) % 2
     return _blend(weight.repeat(8, 0).repeat(8, 1), dark, light)
 
 
-def discs(size: int, seed: int, colours: Sequence[Sequence[float]]) -> Picture:
+def discs(size: int, seed: int, colours: Sequence[Sequence[float]]) -> Texture:
     """A texture of 60 discs of random position, size and colour on the first colour.
 
     The texture has `size` x `size` pixels.
@@ -191,14 +191,14 @@ def discs(size: int, seed: int, colours: Sequence[Sequence[float]]) -> Picture:
 
 def _blend(
     weight: NDArray[Any], foreground: Sequence[float], background: Sequence[float]
-) -> Picture:
+) -> Texture:
     """Blend two colours by the weight (H, W) of the foreground."""
     alpha = weight[..., None]
     blended = alpha * np.array(foreground) + (1 - alpha) * np.array(background)
     return np.asarray(blended, dtype=np.float32)
 
 
-def _rgb(colour: Sequence[float]) -> Part:
+def _rgb(colour: Sequence[float]) -> SceneDict:
     """A grey or RGB colour as a dict for Mitsuba."""
     return {"type": "rgb", "value": _floats(np.broadcast_to(colour, 3))}
 

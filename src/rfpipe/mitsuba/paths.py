@@ -12,12 +12,12 @@ from typing import Any, NamedTuple
 import drjit as dr
 import mitsuba as mi
 
-from rfpipe.mitsuba.beams import Rig, Sums, begin, passes_straight, survival
+from rfpipe.mitsuba.beams import Sums, TracedScene, begin, passes_straight, survival
 
 _MAX_BOUNDARIES = 16  # boundaries between a vertex and a projector
 
 
-def trace_paths(rig: Rig, sums: Sums, samples: int, seed: int) -> None:
+def trace_paths(rig: TracedScene, sums: Sums, samples: int, seed: int) -> None:
     """Trace `samples` paths from each camera pixel of `sums`; add their light to its row."""
     row, ray, sampler = begin(rig.camera, sums.first, sums.count, samples, seed)
     context = mi.BSDFContext()
@@ -48,7 +48,7 @@ def trace_paths(rig: Rig, sums: Sums, samples: int, seed: int) -> None:
     )
 
 
-def trace_volumes(rig: Rig, sums: Sums, samples: int, seed: int) -> None:
+def trace_volumes(rig: TracedScene, sums: Sums, samples: int, seed: int) -> None:
     """Trace paths as `trace_paths` does, including scattering within translucent bodies.
 
     A body is a homogeneous medium within a boundary that doesn't refract. Each scattering counts as
@@ -121,7 +121,7 @@ def _vertex(ray: Any, si: Any, medium: Any, distance: Any, scattered: Any, activ
     )
 
 
-def _connect(rig: Rig, vertex: _Vertex, weight: Any, sampler: Any) -> tuple[Any, Any, Any]:
+def _connect(rig: TracedScene, vertex: _Vertex, weight: Any, sampler: Any) -> tuple[Any, Any, Any]:
     """Connect vertices with a projector; return projector pixels, light, and where it is lit."""
     si, interaction, scattered = vertex.si, vertex.interaction, vertex.scattered
     point = dr.select(scattered, interaction.p, si.p)

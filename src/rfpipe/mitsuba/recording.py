@@ -22,7 +22,7 @@ from scipy.sparse import csr_array
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
 from rfpipe.mitsuba.variant import variant_versions
 from rfpipe.mitsuba.views import Side
-from rfpipe.mitsuba.world import Light
+from rfpipe.mitsuba.world import TracingOptions
 from rfpipe.provenance import versions
 from rfpipe.steps import step, steps
 from rfpipe.store import open_arrays, write_arrays
@@ -154,7 +154,7 @@ def record(
     scene: Callable[[], Any],
     camera: Side,
     projector: Side,
-    light: Light,
+    light: TracingOptions,
     folder: Path,
     *,
     coaxial: bool,
@@ -190,7 +190,7 @@ def record(
 
 
 def _record(
-    scene: Any, camera: Side, projector: Side, light: Light, folder: Path, coaxial: bool
+    scene: Any, camera: Side, projector: Side, light: TracingOptions, folder: Path, coaxial: bool
 ) -> dict[str, Any]:
     """Trace the pieces that the folder lacks; return the facts for its manifest."""
     from rfpipe.mitsuba.rendering import brightness

@@ -17,17 +17,17 @@ from rfpipe.config.base import Extent
 from rfpipe.config.scenes import Choice, SceneSettings
 from rfpipe.errors import InputError
 from rfpipe.mitsuba.materials import (
-    Surface,
+    ShapeMaterial,
     check_traceable,
     choose_bounces,
     choose_caustics,
     omissions_of,
-    surfaces_of,
+    shape_materials,
 )
 from rfpipe.mitsuba.recording import Piece, Recording, dense, is_recorded, product, record
 from rfpipe.mitsuba.variant import missing_llvm
 from rfpipe.mitsuba.views import Side, View
-from rfpipe.mitsuba.world import Light, World, load_scene, world_of_file
+from rfpipe.mitsuba.world import TracingOptions, World, load_scene, world_of_file
 from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
@@ -92,14 +92,14 @@ class MitsubaOptions(SceneSettings):
         return world_of_file(path)
 
     @property
-    def light(self) -> Light:
+    def light(self) -> TracingOptions:
         """Parameters of tracing."""
-        return Light(self._bounces.value, self.samples, self._caustics.value, self.seed)
+        return TracingOptions(self._bounces.value, self.samples, self._caustics.value, self.seed)
 
     @cached_property
-    def surfaces(self) -> list[Surface]:
+    def surfaces(self) -> list[ShapeMaterial]:
         """The scene's surfaces; raises InputError if it can't be loaded or traced."""
-        surfaces = surfaces_of(load_scene(self.world))
+        surfaces = shape_materials(load_scene(self.world))
         check_traceable(surfaces, self.world.name)
         return surfaces
 

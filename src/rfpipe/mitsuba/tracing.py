@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.mitsuba.beams import Pinholes, Rig, Sums
+from rfpipe.mitsuba.beams import Pinholes, Sums, TracedScene
 from rfpipe.mitsuba.caustics import Ends, trace_chains, trace_particles
-from rfpipe.mitsuba.materials import surfaces_of
+from rfpipe.mitsuba.materials import shape_materials
 from rfpipe.mitsuba.paths import trace_paths, trace_volumes
 from rfpipe.mitsuba.views import Side
-from rfpipe.mitsuba.world import Light
+from rfpipe.mitsuba.world import TracingOptions
 from rfpipe.provenance import generator
 
 Double = NDArray[np.float64]
@@ -35,10 +35,10 @@ class Tracer:
         caustics, every path is traced in both directions.
     """
 
-    def __init__(self, scene: Any, camera: Side, projector: Side, light: Light) -> None:
-        self._rig = Rig(scene, Pinholes(camera), Pinholes(projector), light.bounces)
+    def __init__(self, scene: Any, camera: Side, projector: Side, light: TracingOptions) -> None:
+        self._rig = TracedScene(scene, Pinholes(camera), Pinholes(projector), light.bounces)
         self._light = light
-        surfaces = surfaces_of(scene)
+        surfaces = shape_materials(scene)
         has_media = any(surface.is_filled or surface.has("Null") for surface in surfaces)
         self._trace_rows = trace_volumes if has_media else trace_paths
         self._has_specular = any(surface.is_smooth for surface in surfaces)

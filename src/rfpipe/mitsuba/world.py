@@ -20,7 +20,7 @@ from rfpipe.provenance import fingerprint
 MERGING_RADIUS = 0.5
 
 
-class Light(NamedTuple):
+class TracingOptions(NamedTuple):
     """Parameters of tracing light.
 
     Attributes

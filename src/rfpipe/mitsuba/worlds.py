@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from rfpipe.mitsuba.parts import (
-    Part,
+    SceneDict,
     Vector,
     ball,
     body,
@@ -62,10 +62,10 @@ def _world(
     *,
     bounces: int = 6,
     caustics: bool = False,
-) -> Callable[[Callable[[], Part]], None]:
+) -> Callable[[Callable[[], SceneDict]], None]:
     """Register a scene under its function's name, with its rig and tracing parameters."""
 
-    def add(build: Callable[[], Part]) -> None:
+    def add(build: Callable[[], SceneDict]) -> None:
         name = build.__name__
         projector_views = None if projectors is None else tuple(projectors)
         WORLDS[name] = World(
@@ -82,7 +82,7 @@ def _world(
 
 def _walls(
     left_colour: tuple[float, ...] = _WHITE, right_colour: tuple[float, ...] = _WHITE
-) -> Part:
+) -> SceneDict:
     """The five walls of a box from -1 to 1, open towards the viewer."""
     white = matt(*_WHITE)
     return {
@@ -98,13 +98,13 @@ _BOX_VIEW = view((0, 0, 3.9), (0, 0, 0), 39.3)  # before the open side of the wa
 
 
 @_world([_BOX_VIEW])
-def red_wall_box() -> Part:
+def red_wall_box() -> SceneDict:
     """Colour bleeding in a diffuse cavity."""
     return _walls(_RED)
 
 
 @_world([_BOX_VIEW])
-def two_blocks() -> Part:
+def two_blocks() -> SceneDict:
     """Shadows and occlusion between matt surfaces."""
     white = matt(*_WHITE)
     return _walls(_RED, _GREEN) | {
@@ -114,13 +114,13 @@ def two_blocks() -> Part:
 
 
 @_world([_BOX_VIEW], [aside(35, 1.6, (0, -0.1, 0), 0.35, 84)])  # in front of the open side
-def two_blocks_aside() -> Part:
+def two_blocks_aside() -> SceneDict:
     """The scene two_blocks with shadows visible to the camera: entries without direct light."""
     return WORLDS["two_blocks"].build()
 
 
 @_world([view((0, 0.5, 3.9), (0, -0.28, 0), 33)])
-def glossy_metal() -> Part:
+def glossy_metal() -> SceneDict:
     """Highlights and blurred reflections: gloss and rough metal in a box."""
     return _walls() | {
         "floor": sheet((0, -1, 0), (1, 0, 0), (0, 0, -1), textured(checks(8, 8))),
@@ -131,7 +131,7 @@ def glossy_metal() -> Part:
 
 
 @_world([view((0, 0.4, 3.9), (0.05, -0.4, 0), 31)], caustics=True)
-def mirror_beside() -> Part:
+def mirror_beside() -> SceneDict:
     """A mirror beside a block: distant pixels see the same surface, and a caustic falls on it."""
     letters = textured(lettering(["EG", "SR"]))
     return {
@@ -149,7 +149,7 @@ def mirror_beside() -> Part:
     [aside(8, 4.2, (-0.05, -0.55, 0), 0.7, 32)],
     caustics=True,
 )
-def right_angles() -> Part:
+def right_angles() -> SceneDict:
     """A box in front of a mirror, seen edge-on by the camera, not by the projector [Fig. 3.10]."""
     letters = textured(lettering(["EGSR", "DUAL"], ink=(0.5, 0.05, 0.05)))
     return {
@@ -164,7 +164,7 @@ def right_angles() -> Part:
     }
 
 
-def _table() -> Part:
+def _table() -> SceneDict:
     """A floor with a wall behind it."""
     return {
         "floor": sheet((0, -1, 0), (3, 0, 0), (0, 0, -3), matt(0.72, 0.7, 0.66)),
@@ -176,7 +176,7 @@ _TABLE_VIEW = view((-0.25, 1.7, 3.6), (-0.25, -0.55, 0), 33)
 
 
 @_world([_TABLE_VIEW], [aside(50, 3.3, (0.0, -0.6, 0), 1.9, 33)], bounces=10, caustics=True)
-def glass_ball() -> Part:
+def glass_ball() -> SceneDict:
     """A glass ball with a caustic that the camera sees directly."""
     return _table() | {
         "ball": ball((0.15, -0.55, 0), 0.44, glass()),
@@ -185,7 +185,7 @@ def glass_ball() -> Part:
 
 
 @_world([_TABLE_VIEW], [aside(60, 3.5, (-0.05, -0.5, 0), 0.9, 33)], bounces=10, caustics=True)
-def bottle() -> Part:
+def bottle() -> SceneDict:
     """A bottle of water: caustics, and refraction in the dual image [Fig. 3.2, 3.6]."""
     shoulder = [
         (0.175 + 0.095 * np.cos(t), 0.75 + 0.3 * np.sin(t / 2)) for t in np.linspace(0.4, np.pi, 8)
@@ -199,7 +199,7 @@ def bottle() -> Part:
 
 
 @_world([view((0, 1.9, 3.2), (0, -0.8, 0), 32)], bounces=10, caustics=True)
-def glass_and_ring() -> Part:
+def glass_and_ring() -> SceneDict:
     """Caustics within a mirror ring, and a block of glass with a chessboard behind it.
 
     A glass ball would be a retroreflector, whose focus is far brighter than all other light.
@@ -212,7 +212,7 @@ def glass_and_ring() -> Part:
 
 
 @_world([_TABLE_VIEW], bounces=48)
-def translucent() -> Part:
+def translucent() -> SceneDict:
     """Translucent bodies of marble and soap: indirect light outside the lit area."""
     marble = body(ball((-0.3, -0.52, 0.1), 0.46, {}), 0.08, 0.0, 0.98, 0.95, 0.88)
     soap = body(box((0.5, -0.72, 0.35), (0.5, 0.52, 0.5), -25, {}), 0.12, 0.5, 0.85, 0.97, 0.9)
@@ -220,7 +220,7 @@ def translucent() -> Part:
 
 
 @_world([aside(turn, 3.6, (0, -0.05, 0), 0.6, 24) for turn in (0, 120)], bounces=48)
-def sweets() -> Part:
+def sweets() -> SceneDict:
     """Translucent balls in a tumbler with weak reflections and no refraction [Fig. 5.6]."""
     red, green, yellow = (0.97, 0.35, 0.3), (0.45, 0.95, 0.4), (0.97, 0.9, 0.4)
     orange, white = (0.97, 0.65, 0.25), (0.96, 0.95, 0.92)
@@ -248,7 +248,7 @@ def sweets() -> Part:
 
 
 @_world([view((0.0, -0.3, 3.4), (0, -0.4, -0.6), 32)])
-def foreshortened() -> Part:
+def foreshortened() -> SceneDict:
     """Fine texture at grazing angles on a long floor, a pillar and a wall."""
     text = ["LIGHT ", "RETURN", "ALONG ", "EITHER", "SIDE  "]
     rings = np.repeat(checks(24, 1, (0.5, 0.1, 0.08), (0.85, 0.83, 0.75)), 4, axis=1)
@@ -262,7 +262,7 @@ def foreshortened() -> Part:
 
 
 @_world([_BOX_VIEW])
-def venetian_blind() -> Part:
+def venetian_blind() -> SceneDict:
     """Many thin depth edges: slats in front of a coloured wall."""
     spots = discs(96, 3, [(0.75, 0.7, 0.5), (0.6, 0.1, 0.05), (0.05, 0.3, 0.5), (0.1, 0.4, 0.1)])
     tilt = np.radians(38)
@@ -282,7 +282,7 @@ _STILL_LIFE = (0.0, -0.55, 0.0)
     [aside(0, 3.7, _STILL_LIFE, 1.0, 34)],
     bounces=1,  # keeps the matrix small
 )
-def still_life_arc() -> Part:
+def still_life_arc() -> SceneDict:
     """Relighting from 80 positions on an arc of 140 degrees, with soft shadows [Fig. 3.9]."""
     spots = discs(128, 7, [(0.75, 0.72, 0.62), (0.5, 0.35, 0.2), (0.2, 0.3, 0.45)])
     vase = [(0.2 + 0.14 * np.sin(5.2 * h) * (1 - 0.5 * h), 1.1 * h) for h in np.linspace(0, 1, 16)]
@@ -302,7 +302,7 @@ def still_life_arc() -> Part:
     [view((0.22 * x, 0.22 * y, 3.9), (0, 0, 0), 39.3) for y in (1, 0, -1) for x in (-1, 0, 1)],
     bounces=3,
 )
-def views_3x3() -> Part:
+def views_3x3() -> SceneDict:
     """Parallax between near and far: 3 x 3 views, from the top left, row by row."""
     return _walls(_RED, _GREEN) | {
         "back": sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), textured(lettering(["FAR"]))),

@@ -3,7 +3,7 @@
 from rfpipe.pictures.exposures import encoding_note, relative_exposures
 from rfpipe.pictures.files import picture_files, read_header, read_parts, read_picture
 from rfpipe.pictures.images import write_code_picture
-from rfpipe.pictures.raw import check_mosaic, developed
+from rfpipe.pictures.raw import check_raw_mosaic, developed
 from rfpipe.pictures.records import Header, Part, Picture
 from rfpipe.pictures.sequence import check_sequence, pixel_fingerprint
 
@@ -11,7 +11,7 @@ __all__ = [
     "Header",
     "Part",
     "Picture",
-    "check_mosaic",
+    "check_raw_mosaic",
     "check_sequence",
     "developed",
     "encoding_note",

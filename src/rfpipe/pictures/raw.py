@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError, installing
 from rfpipe.pictures.records import Header, Picture
 
-__all__ = ["Raw", "check_mosaic", "developed", "read_raw"]
+__all__ = ["Raw", "check_raw_mosaic", "developed", "read_raw"]
 
 RAW = (
     ".3fr", ".arw", ".cr2", ".cr3", ".dng", ".erf", ".iiq", ".nef", ".nrw", ".orf", ".pef", ".raf",
@@ -177,7 +177,7 @@ def _header(path: Path, raw: Any, develop: bool) -> Header:
     )
 
 
-def check_mosaic(path: Path, header: Header, bayer: str | None) -> None:
+def check_raw_mosaic(path: Path, header: Header, bayer: str | None) -> None:
     """Raise InputError when a raw file's mosaic differs from the setting ``camera.bayer``.
 
     Other files than raw ones, such as TIFF, state no mosaic and pass.

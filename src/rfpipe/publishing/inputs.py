@@ -18,7 +18,7 @@ from xml.etree import ElementTree
 
 from rfpipe.errors import InputError
 from rfpipe.provenance import source_digest
-from rfpipe.publishing.run import Acquisition, files_below
+from rfpipe.publishing.run import FinishedAcquisition, files_below
 
 FOLDER = "inputs"
 """Folder of the files in a publication."""
@@ -36,7 +36,7 @@ _CLASSES, _OUTPUTS = ("kind", "method"), ("cache",)
 
 
 @dataclass(frozen=True)
-class Inputs:
+class UserFiles:
     """User files of a publication, and the settings that name them.
 
     Attributes
@@ -56,7 +56,7 @@ class Inputs:
     notes: list[str]
     classes: dict[str, Path]
 
-    def check_sources(self, acquisitions: Iterable[Acquisition]) -> None:
+    def check_sources(self, acquisitions: Iterable[FinishedAcquisition]) -> None:
         """Raise InputError where a class' file has changed since the acquisition."""
         for acquisition in acquisitions:
             scene, method = f"scenes.{acquisition.scene}", acquisition.method
@@ -73,7 +73,7 @@ class Inputs:
                     )
 
 
-def inputs_of(folder: Path, settings: dict[str, Any]) -> Inputs:
+def inputs_of(folder: Path, settings: dict[str, Any]) -> UserFiles:
     """Find the user files that the settings of a run's scenes and methods name.
 
     Parameters
@@ -88,7 +88,7 @@ def inputs_of(folder: Path, settings: dict[str, Any]) -> Inputs:
         section: _replaced(values, section, finder.replacement) if section in _SECTIONS else values
         for section, values in settings.items()
     }
-    return Inputs(published, finder.files, finder.notes, finder.classes)
+    return UserFiles(published, finder.files, finder.notes, finder.classes)
 
 
 def _replaced(value: Any, place: str, replacement: Callable[[str, str], str]) -> Any:
@@ -102,7 +102,7 @@ def _replaced(value: Any, place: str, replacement: Callable[[str, str], str]) ->
 
 
 class _Finder:
-    """Collects the files that texts of settings name; attributes as in `Inputs`."""
+    """Collects the files that texts of settings name; attributes as in `UserFiles`."""
 
     def __init__(self, folder: Path) -> None:
         self.files: dict[str, Path] = {}

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from rfpipe.publishing.run import Acquisition, Run, files_below
+from rfpipe.publishing.run import FinishedAcquisition, RunFolder, files_below
 from rfpipe.publishing.writing import Source, digest_and_size, write_zip
 from rfpipe.store import StoreLock
 from rfpipe.store.addresses import Bucket
@@ -33,7 +33,7 @@ class UploadSummary:
 
 
 def keep(
-    run: Run, address: str, on_upload: Callable[[str], object] = lambda _: None
+    run: RunFolder, address: str, on_upload: Callable[[str], object] = lambda _: None
 ) -> UploadSummary:
     """Upload a run's transports, relit pictures, manifests and report to a bucket.
 
@@ -117,7 +117,7 @@ class _ObjectList:
             self._written, self._time = dict(self.digests), time.monotonic()
 
 
-def _objects(run: Run, temporary: Path) -> Iterator[tuple[str, Source]]:
+def _objects(run: RunFolder, temporary: Path) -> Iterator[tuple[str, Source]]:
     """Yield name and source of all objects; each zip file is replaced by the next one."""
     for acquisition in run.acquisitions:
         acquisition.check()
@@ -132,7 +132,9 @@ def _objects(run: Run, temporary: Path) -> Iterator[tuple[str, Source]]:
     yield from run.report_files()
 
 
-def _zipped_store(acquisition: Acquisition, stage: str, temporary: Path) -> tuple[str, Path]:
+def _zipped_store(
+    acquisition: FinishedAcquisition, stage: str, temporary: Path
+) -> tuple[str, Path]:
     """Zip a stage's store and manifest; return the object's name, and the zip file."""
     store, manifest = f"{stage}.zarr", f"{stage}.json"
     files = [*files_below(acquisition.folder / store, store)]

@@ -20,8 +20,8 @@ from rfpipe.publishing.inputs import inputs_of
 from rfpipe.publishing.metadata import CRATE_FILE, Citation, crate, datacite
 from rfpipe.publishing.run import (
     SETTINGS,
-    Acquisition,
-    Run,
+    FinishedAcquisition,
+    RunFolder,
     files_below,
     settings_file,
     settings_of,
@@ -55,7 +55,7 @@ class Published(NamedTuple):
 
 
 def publish(
-    run: Run,
+    run: RunFolder,
     citation: Citation,
     output: Path,
     *,
@@ -106,7 +106,7 @@ def publish(
     return Published(len(sizes), sum(sizes), inputs.notes if inputs else [])
 
 
-def _check_output(run: Run, output: Path, overwrite: bool) -> None:
+def _check_output(run: RunFolder, output: Path, overwrite: bool) -> None:
     """Raise InputError if writing the output would replace other files."""
     if output.resolve().is_relative_to(run.results.resolve()):
         raise InputError(f"{output}: is within the results to be published; give another --output")
@@ -120,7 +120,7 @@ def _check_output(run: Run, output: Path, overwrite: bool) -> None:
         )
 
 
-def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
+def _data(run: RunFolder, *, captured: bool) -> Iterator[tuple[str, Source]]:
     """Yield name and source of all files of the run and its workflow."""
     for acquisition in run.acquisitions:
         yield from files_below(acquisition.folder / STORE_NAME, acquisition.store_name)
@@ -136,7 +136,7 @@ def _data(run: Run, *, captured: bool) -> Iterator[tuple[str, Source]]:
     yield from files_below(workflow_folder() / "workflow", "source/workflow")
 
 
-def _floodlit(acquisition: Acquisition) -> Iterator[tuple[str, bytes]]:
+def _floodlit(acquisition: FinishedAcquisition) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of an acquisition's floodlit image, as EXR and PNG."""
     folder = AcquisitionFolder(acquisition.folder)
     if folder.store(0, REFERENCE_IMAGES).exists():
@@ -155,7 +155,7 @@ def encoded(image: NDArray[Any], suffix: str) -> bytes:
         return path.read_bytes()
 
 
-def _add_metadata(writer: Writer, run: Run, citation: Citation) -> None:
+def _add_metadata(writer: Writer, run: RunFolder, citation: Citation) -> None:
     """Write metadata, pages and, last, the list of checksums."""
     writer.add("datacite.json", _json(datacite(citation)))
     for name, page in _pages(run, citation, writer.written.keys()).items():
@@ -169,7 +169,7 @@ def _json(data: dict[str, Any]) -> bytes:
     return (json.dumps(data, indent=1, ensure_ascii=False) + "\n").encode()
 
 
-def _pages(run: Run, citation: Citation, names: Set[str]) -> dict[str, bytes]:
+def _pages(run: RunFolder, citation: Citation, names: Set[str]) -> dict[str, bytes]:
     """Render the example program and the pages about the publication, by file name."""
     from jinja2 import Environment, PackageLoader, select_autoescape
 
@@ -187,7 +187,7 @@ def _pages(run: Run, citation: Citation, names: Set[str]) -> dict[str, bytes]:
     return {name: page.encode() for name, page in pages.items()}
 
 
-def _crate(writer: Writer, run: Run, citation: Citation) -> dict[str, Any]:
+def _crate(writer: Writer, run: RunFolder, citation: Citation) -> dict[str, Any]:
     """Build the crate's metadata; each store is described as one folder."""
     parts: dict[str, dict[str, str]] = {}
     for name, (digest, size) in writer.written.items():

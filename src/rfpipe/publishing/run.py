@@ -29,7 +29,7 @@ _TO_LOGS = re.compile(rb' <a href="[^"]*\.log">log</a>')  # logs aren't publishe
 
 
 @dataclass(frozen=True)
-class Acquisition:
+class FinishedAcquisition:
     """A complete acquisition of a scene by a method; `facts` is its transport's manifest."""
 
     scene: str
@@ -67,11 +67,11 @@ class Acquisition:
 
 
 @dataclass(frozen=True)
-class Run:
+class RunFolder:
     """A folder with ``results``; the settings are None if there is no report."""
 
     folder: Path
-    acquisitions: list[Acquisition]
+    acquisitions: list[FinishedAcquisition]
     settings: dict[str, Any] | None
 
     @property
@@ -141,7 +141,7 @@ def files_below(folder: Path, name: str) -> Iterator[tuple[str, Path]]:
             yield f"{name}/{inside.as_posix()}", folder / inside
 
 
-def find_run(folder: Path) -> Run:
+def find_run(folder: Path) -> RunFolder:
     """Find the acquisitions of a run, by its folder or its ``results``; InputError if none."""
     folder = folder.resolve()
     if folder.name == "results":
@@ -151,7 +151,9 @@ def find_run(folder: Path) -> Run:
         scene, method, *more = name.split("/")
         if len(more) == 1:  # deeper ones belong to studies
             path = folder / "results" / scene / method
-            items.append(Acquisition(scene, method, path, read_manifest(path / "transport.json")))
+            items.append(
+                FinishedAcquisition(scene, method, path, read_manifest(path / "transport.json"))
+            )
     if not items:
         if packed_in(folder) or packed_in(folder / "results"):
             raise InputError(
@@ -171,10 +173,10 @@ def find_run(folder: Path) -> Run:
         raise IntegrityError(
             f"{results}: damaged ({type(error).__name__}: {error}); remove the report and run again"
         ) from error
-    return Run(folder, items, settings)
+    return RunFolder(folder, items, settings)
 
 
-def settings_of(run: Run, config: Path | None) -> dict[str, Any] | None:
+def settings_of(run: RunFolder, config: Path | None) -> dict[str, Any] | None:
     """Return the settings that affect a run's results, from its report or else a file.
 
     Settings without effect on results, such as the server's address, are omitted.

@@ -9,7 +9,7 @@ from rfpipe.config import Config
 from rfpipe.errors import StoreError
 from rfpipe.report import errors as errors_
 from rfpipe.report import glance, leaves, setup, verification
-from rfpipe.report.inputs import Inputs, load_inputs
+from rfpipe.report.inputs import ReportInputs, load_inputs
 from rfpipe.report.page import Section, write_page
 from rfpipe.report.text import STANDING_COLOURS, ray_size
 from rfpipe.storage.files import FILES, write_files
@@ -57,7 +57,7 @@ def build_report(
     write_files(page.with_name(FILES), (path for path in files if path.name != FILES))
 
 
-def make_sections(inputs: Inputs) -> list[Section]:
+def make_sections(inputs: ReportInputs) -> list[Section]:
     """Return the sections of a report that aren't empty."""
     candidates = [
         glance.glance_section(inputs),
@@ -70,7 +70,7 @@ def make_sections(inputs: Inputs) -> list[Section]:
     return [section for section in candidates if section is not None and section.blocks]
 
 
-def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
+def _views(inputs: ReportInputs, page: Path) -> dict[str, list[tuple[str, str]]]:
     """Return title and path of the viewer's pages of each scene, in the folder ``view``."""
     views: dict[str, list[tuple[str, str]]] = {}
     for run in inputs.runs:
@@ -80,7 +80,7 @@ def _views(inputs: Inputs, page: Path) -> dict[str, list[tuple[str, str]]]:
     return views
 
 
-def _lead(inputs: Inputs) -> str:
+def _lead(inputs: ReportInputs) -> str:
     """Return the first sentence of the page."""
     scenes = [f"{scene}, {ray_size(inputs.config.scenes[scene])} rays" for scene in inputs.scenes]
     return f"The light transport between a projector and a camera: {'; '.join(scenes)}."

@@ -16,7 +16,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import RfpipeError
 from rfpipe.report.inputs import seconds_spent
 from rfpipe.report.page import rendered
-from rfpipe.report.targets import ending_of, missed_targets
+from rfpipe.report.targets import ending_of, missed_target_texts
 from rfpipe.report.text import ray_size
 from rfpipe.storage.files import AcquisitionFolder
 from rfpipe.store import StoreLock, manifest_or_empty
@@ -29,8 +29,8 @@ if TYPE_CHECKING:
 CATALOGUE = Path("catalogue") / "index.html"
 """Path of the page in the folder of results."""
 
-State = Literal["failed", "running", "stopped", "waiting", "done"]
-_STATES: tuple[State, ...] = ("failed", "running", "stopped", "waiting", "done")
+AcquisitionState = Literal["failed", "running", "stopped", "waiting", "done"]
+_STATES: tuple[AcquisitionState, ...] = ("failed", "running", "stopped", "waiting", "done")
 
 _ERROR = re.compile(r"^\d{4}-\d\d-\d\d [\d:,]+ ERROR (.*)$", re.MULTILINE)
 _MAX_REASON_LENGTH = 400
@@ -101,7 +101,7 @@ def _row(settings: Config, results: Path, scene: str, method: str) -> dict[str, 
     }
 
 
-class Progress(NamedTuple):
+class AcquisitionProgress(NamedTuple):
     """State of an acquisition.
 
     Attributes
@@ -112,19 +112,19 @@ class Progress(NamedTuple):
         one.
     """
 
-    state: State
+    state: AcquisitionState
     reason: str = ""
 
 
-def state_of(folder: Path) -> Progress:
+def state_of(folder: Path) -> AcquisitionProgress:
     """Return the state of the acquisition in a folder; a missing folder is waiting."""
     if not folder.exists():
-        return Progress("waiting")
+        return AcquisitionProgress("waiting")
     holder = StoreLock.holder(folder)
     if holder is not None:
-        return Progress("running", f"process {holder}: {_reached(folder)}")
+        return AcquisitionProgress("running", f"process {holder}: {_reached(folder)}")
     if (folder / "transport.json").exists():
-        return Progress("done")
+        return AcquisitionProgress("done")
     return _ended(folder)
 
 
@@ -147,7 +147,7 @@ def _reached(folder: Path) -> str:
     return f"level {int(done[-1].parent.name[1:])} is captured" if done else "nothing captured yet"
 
 
-def _ended(folder: Path) -> Progress:
+def _ended(folder: Path) -> AcquisitionProgress:
     """Return the state of an acquisition without a transport, from its last log.
 
     A job that ends by an error logs it with the level ERROR, an interrupted job logs a warning.
@@ -158,10 +158,14 @@ def _ended(folder: Path) -> Progress:
             errors = _ERROR.findall(file.read().decode(errors="replace"))
     except OSError:
         begun = any(folder.iterdir())
-        return Progress("stopped", _reached(folder)) if begun else Progress("waiting")
+        return (
+            AcquisitionProgress("stopped", _reached(folder))
+            if begun
+            else AcquisitionProgress("waiting")
+        )
     if not errors:
-        return Progress("stopped", _reached(folder))
-    return Progress("failed", errors[-1][:_MAX_REASON_LENGTH])
+        return AcquisitionProgress("stopped", _reached(folder))
+    return AcquisitionProgress("failed", errors[-1][:_MAX_REASON_LENGTH])
 
 
 def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
@@ -213,7 +217,7 @@ def _missed(folder: Path, numbers: Mapping[str, Any]) -> list[str]:
         "verified": "truth" if has_truth else "verification pictures",
     }
     reason = ending_of(acquired.get("levels", []))
-    return [*missed_targets(row, reason, by_few_pictures=not has_truth)]
+    return [*missed_target_texts(row, reason, by_few_pictures=not has_truth)]
 
 
 def write_thumbnail(folder: Path, picture: Path) -> bool:

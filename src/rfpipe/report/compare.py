@@ -19,7 +19,7 @@ from rfpipe.errors import InputError, StoreError
 from rfpipe.methods.base import get_method
 from rfpipe.provenance import fingerprint
 from rfpipe.report.inputs import read_json, seconds_spent
-from rfpipe.report.text import percent
+from rfpipe.report.text import rounded_percent
 from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
 from rfpipe.storage.base import VERIFICATION_MANIFEST
 from rfpipe.store import open_arrays
@@ -36,7 +36,7 @@ _SECONDS_PER_PATTERN = 2.0
 
 
 @dataclass(frozen=True)
-class Point:
+class CostPoint:
     """Cost and error of an acquisition up to a level.
 
     Attributes
@@ -72,7 +72,7 @@ class Acquired:
         Title of the method.
     variant : str
         Fingerprint of the options, without the one that trades patterns for accuracy.
-    points : tuple of Point
+    points : tuple of CostPoint
     """
 
     folder: Path
@@ -80,7 +80,7 @@ class Acquired:
     truth: str
     method: str
     variant: str
-    points: tuple[Point, ...]
+    points: tuple[CostPoint, ...]
 
 
 def compare(
@@ -206,7 +206,7 @@ def _titled(method: str) -> tuple[str, str | None]:
     return known.title, known.trades
 
 
-def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[Point]:
+def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[CostPoint]:
     """Yield the points of an acquisition, a row of `errors_by_level` each."""
     if "level_errors" in facts:
         errors = errors_by_level(facts)
@@ -217,17 +217,17 @@ def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[
     pictures = pictures_by_level(folder)
     for level, patterns, error in errors:
         count = sum(number for at, number in pictures.items() if at <= level) or math.nan
-        yield Point(error, patterns, count, seconds_spent(folder, seconds, level).total)
+        yield CostPoint(error, patterns, count, seconds_spent(folder, seconds, level).total)
 
 
-def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[Point]]:
+def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[CostPoint]]:
     """Return the curve of each scene and method, by their names in the table.
 
     The folder is added to the names of scenes that share their name and differ in their floodlit
     images, a number to methods that differ in their options.
     """
     acquired = list(acquired)
-    points: dict[tuple[str, str], list[Point]] = {}
+    points: dict[tuple[str, str], list[CostPoint]] = {}
     truths: dict[str, set[str]] = {}
     variants: dict[tuple[str, str], dict[str, None]] = {}
     for item in acquired:
@@ -243,25 +243,25 @@ def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[Point]
     return {names: frontier(curve) for names, curve in points.items()}
 
 
-def frontier(points: Iterable[Point]) -> list[Point]:
+def frontier(points: Iterable[CostPoint]) -> list[CostPoint]:
     """Return the points with a smaller error than all points with fewer patterns."""
-    best: list[Point] = []
+    best: list[CostPoint] = []
     for point in sorted(points, key=lambda point: (point.patterns, point.error)):
         if not best or point.error < best[-1].error:
             best.append(point)
     return best
 
 
-def _cost(curve: Sequence[Point], error: float) -> dict[str, Any]:
+def _cost(curve: Sequence[CostPoint], error: float) -> dict[str, Any]:
     """Return the cost of an error on a curve, with a note unless it is between two points."""
     reached = next((index for index, point in enumerate(curve) if point.error <= error), None)
     if reached is None:
         last = curve[-1]
-        note = f"not reached: {percent(last.error)} % after {last.patterns:,.0f} patterns"
+        note = f"not reached: {rounded_percent(last.error)} % after {last.patterns:,.0f} patterns"
         return {"note": note}
     after = curve[reached]
     if reached == 0:
-        note = f"at most: {percent(after.error)} % is the largest error known"
+        note = f"at most: {rounded_percent(after.error)} % is the largest error known"
         return {**_costs(after), "note": note}
     before = curve[reached - 1]
     share = 1.0
@@ -272,5 +272,5 @@ def _cost(curve: Sequence[Point], error: float) -> dict[str, Any]:
     return {**costs, "note": ""}
 
 
-def _costs(point: Point) -> dict[str, float]:
+def _costs(point: CostPoint) -> dict[str, float]:
     return {name: getattr(point, name) for name in ("patterns", "pictures", "seconds")}

@@ -7,9 +7,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import scene_curves
-from rfpipe.report.inputs import Inputs, Run, SeedGroup
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs, SeedGroup
 from rfpipe.report.page import Block, Column, Illustration, Section, table_of
-from rfpipe.report.text import ERROR, fixed, indirect_percent, percent, words
+from rfpipe.report.text import ERROR, fixed, indirect_percent, rounded_percent, words
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ _ESTIMATED: dict[str, Any] = {
 }  # fmt: skip
 
 
-def speed_section(inputs: Inputs) -> Section | None:
+def speed_section(inputs: ReportInputs) -> Section | None:
     """Return the section of errors: level by level, true and estimated, and by pattern."""
     table, steps = known_errors(inputs), histories(inputs.runs)
     names = {*table["scene"], *steps["scene"]}
@@ -55,8 +55,8 @@ def speed_section(inputs: Inputs) -> Section | None:
             "coaxial rigs only."
         )
         columns: list[Column] = [
-            ("error, %", "error", percent),
-            ("plain error, %", "plain_error", percent),
+            ("error, %", "error", rounded_percent),
+            ("plain error, %", "plain_error", rounded_percent),
             ("error of indirect light, %", "indirect_error", indirect_percent),
             ("CIEDE2000", "ciede2000", fixed(2)),
         ]
@@ -66,12 +66,12 @@ def speed_section(inputs: Inputs) -> Section | None:
     return Section("speed", name, blocks)
 
 
-def is_verified_alone(run: Run) -> bool:
+def is_verified_alone(run: RelitAcquisition) -> bool:
     """Test whether the error of a run is known from verification pictures only."""
     return not run.has_truth and run.verified.get("mean_error") is not None
 
 
-def known_errors(inputs: Inputs) -> pd.DataFrame:
+def known_errors(inputs: ReportInputs) -> pd.DataFrame:
     """Return the speed table, with a row for each run whose error only verification measured."""
     import pandas as pd
 
@@ -87,7 +87,7 @@ def known_errors(inputs: Inputs) -> pd.DataFrame:
 
 
 def speed_figure(
-    inputs: Inputs, groups: Sequence[SeedGroup], table: pd.DataFrame, steps: pd.DataFrame
+    inputs: ReportInputs, groups: Sequence[SeedGroup], table: pd.DataFrame, steps: pd.DataFrame
 ) -> Figure:
     """Draw the errors of the speed table and the estimates of `histories`, a panel a group."""
     labelled = {*table["method"]}
@@ -154,7 +154,7 @@ def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     return groups.mean().join(groups.std().add_suffix("_sd"))
 
 
-def histories(runs: Sequence[Run]) -> pd.DataFrame:
+def histories(runs: Sequence[RelitAcquisition]) -> pd.DataFrame:
     """Return the error estimates of all runs.
 
     Returns

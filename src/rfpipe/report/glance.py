@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
-from rfpipe.report.inputs import Inputs, Run, pictures_of, rig_of, seconds_spent
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs, pictures_of, rig_of, seconds_spent
 from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
 from rfpipe.report.pictures import scene_pictures
-from rfpipe.report.targets import ending_of, missed_targets
-from rfpipe.report.text import ERROR, fixed, indirect_percent, number, percent, rig_standing
+from rfpipe.report.targets import ending_of, missed_target_texts
+from rfpipe.report.text import ERROR, fixed, indirect_percent, number, rig_standing, rounded_percent
 from rfpipe.report.verification import alarms_of, summary
 from rfpipe.transport.base import last_estimate
 
@@ -20,19 +20,23 @@ _SIMULATED = "simulated"
 _NUMBERS: tuple[Column, ...] = (
     ("patterns", "patterns", number),
     ("pictures on the rig", "pictures", number),
-    ("error, %", "mean_error", percent),
-    ("largest error, %", "worst_error", percent),
+    ("error, %", "mean_error", rounded_percent),
+    ("largest error, %", "worst_error", rounded_percent),
     ("error of indirect light, %", "mean_indirect", indirect_percent),
-    ("estimated error, %", "estimated_error", percent),
+    ("estimated error, %", "estimated_error", rounded_percent),
 )
 _TIME: Column = ("time, min", "minutes", fixed(1))
 
 
-def glance_section(inputs: Inputs) -> Section:
+def glance_section(inputs: ReportInputs) -> Section:
     """Return the section with a table of all acquisitions, missed targets, and pictures."""
     results = [result_of(inputs, run) for run in inputs.runs]
     missed = [
-        [*missed_targets(row, ending_of(run.facts["levels"]), by_few_pictures=not run.has_truth)]
+        [
+            *missed_target_texts(
+                row, ending_of(run.facts["levels"]), by_few_pictures=not run.has_truth
+            )
+        ]
         for row, run in zip(results, inputs.runs, strict=True)
     ]
     noticed = [
@@ -46,7 +50,7 @@ def glance_section(inputs: Inputs) -> Section:
     ]
     alarmed = frozenset(index for index, sentences in enumerate(noticed) if sentences)
     shown = [
-        {**row, "target": f"{percent(row['target_error'])}{' MISSED' if sentences else ''}"}
+        {**row, "target": f"{rounded_percent(row['target_error'])}{' MISSED' if sentences else ''}"}
         for row, sentences in zip(results, missed, strict=True)
     ]
     tables = _main_table(inputs, results, shown, alarmed), seeds_table(inputs, results)
@@ -58,7 +62,7 @@ def glance_section(inputs: Inputs) -> Section:
 
 
 def _main_table(
-    inputs: Inputs,
+    inputs: ReportInputs,
     results: Sequence[Mapping[str, Any]],
     shown: Sequence[Mapping[str, Any]],
     alarmed: frozenset[int],
@@ -86,7 +90,7 @@ def _main_table(
     )  # fmt: skip
 
 
-def _omissions(inputs: Inputs) -> list[str]:
+def _omissions(inputs: ReportInputs) -> list[str]:
     """Return sentences on the light that the simulation of a scene omits."""
     return [
         f"{scene}: {sentence}."
@@ -95,7 +99,7 @@ def _omissions(inputs: Inputs) -> list[str]:
     ]
 
 
-def _caption(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
+def _caption(inputs: ReportInputs, results: Sequence[Mapping[str, Any]]) -> str:
     """Return the caption of the main table."""
     kinds = {row["verified"] for row in results}
     pictures = (
@@ -114,8 +118,8 @@ def _caption(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
         )
     if _RECORDED in kinds:
         grains = dict.fromkeys(
-            f"{row['scene']} {percent(row['grain'])} % ({percent(row['grain_unlit'])} % on unlit "
-            "pixels)"
+            f"{row['scene']} {rounded_percent(row['grain'])} % "
+            f"({rounded_percent(row['grain_unlit'])} % on unlit pixels)"
             for row in results
             if row["grain"] is not None
         )
@@ -133,7 +137,7 @@ def _caption(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> str:
     return " ".join(sentences)
 
 
-def result_of(inputs: Inputs, run: Run) -> dict[str, Any]:
+def result_of(inputs: ReportInputs, run: RelitAcquisition) -> dict[str, Any]:
     """Return the cost of an acquisition and the errors of its relit pictures.
 
     Returns
@@ -187,7 +191,7 @@ def _known(value: float | None) -> float | None:
     return None if value is None or math.isnan(value) else value
 
 
-def seeds_table(inputs: Inputs, results: Sequence[Mapping[str, Any]]) -> Table | None:
+def seeds_table(inputs: ReportInputs, results: Sequence[Mapping[str, Any]]) -> Table | None:
     """Return the means and standard deviations over scenes that differ only in their seeds."""
     import pandas as pd
 
@@ -225,5 +229,5 @@ def _with_deviation(mean: float, deviation: float, text: Callable[[Any], str]) -
     if "e" in shown:
         return f"{shown} ± {text(deviation)}"
     digits = len(shown.partition(".")[2])
-    scale = 100 if text in (percent, indirect_percent) else 1
+    scale = 100 if text in (rounded_percent, indirect_percent) else 1
     return f"{shown} ± {number(deviation, f',.{digits}f', scale)}"

@@ -32,7 +32,7 @@ _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "h", "<", ">", "p", "*")
 
 
 @dataclass(frozen=True)
-class Run:
+class RelitAcquisition:
     """Relit acquisition of a scene by a method.
 
     Attributes
@@ -129,13 +129,13 @@ class SeedGroup:
 
 
 @dataclass(frozen=True)
-class Inputs:
+class ReportInputs:
     """Inputs of a report.
 
     Attributes
     ----------
     config : Config
-    runs : list of Run
+    runs : list of RelitAcquisition
         In the configuration's order.
     errors, speed_error : DataFrame
         See `rfpipe.stages.evaluate`.
@@ -144,7 +144,7 @@ class Inputs:
     """
 
     config: Config
-    runs: list[Run]
+    runs: list[RelitAcquisition]
     errors: pd.DataFrame
     speed_error: pd.DataFrame
     results: Path
@@ -159,7 +159,7 @@ class Inputs:
         """The methods of the runs."""
         return list(dict.fromkeys(run.method for run in self.runs))
 
-    def of_scene(self, scene: str) -> list[Run]:
+    def of_scene(self, scene: str) -> list[RelitAcquisition]:
         """Return the runs of a scene."""
         return [run for run in self.runs if run.scene == scene]
 
@@ -242,7 +242,7 @@ def _common_name(scenes: Sequence[str]) -> str:
     return "".join(signs[0] for signs in alike).rstrip("_0123456789") or scenes[0]
 
 
-def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> Inputs:
+def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) -> ReportInputs:
     """Read the inputs of a report.
 
     Parameters
@@ -265,8 +265,12 @@ def load_inputs(config: Config, results: Path, errors: Path, speed_error: Path) 
         verified = (
             _opened(folder / VERIFICATION_MANIFEST) if config.verification_pictures else ({}, None)
         )
-        runs.append(Run(scene, method, config.scenes[scene], facts, images, acquired, *verified))
-    return Inputs(config, runs, pd.read_csv(errors), pd.read_csv(speed_error), results)
+        runs.append(
+            RelitAcquisition(
+                scene, method, config.scenes[scene], facts, images, acquired, *verified
+            )
+        )
+    return ReportInputs(config, runs, pd.read_csv(errors), pd.read_csv(speed_error), results)
 
 
 def read_json(manifest: Path) -> dict[str, Any]:
@@ -295,7 +299,7 @@ def job_seconds(path: Path) -> float | None:
     return float(lines[0].split("\t")[0]) if lines else None
 
 
-def rig_of(results: Path, run: Run) -> dict[str, Any]:
+def rig_of(results: Path, run: RelitAcquisition) -> dict[str, Any]:
     """Return the description of the rig that captured a run, or {}."""
     return dict(read_json(results / run.scene / run.method / "L00/capture.json").get("rig", {}))
 

@@ -6,7 +6,7 @@ import textwrap
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import ABREAST, new_figure, shared_legend
-from rfpipe.report.inputs import Inputs, Run
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs
 from rfpipe.report.page import Column, Illustration, Section, table_of
 from rfpipe.report.text import number
 from rfpipe.stages.evaluate import is_used
@@ -26,7 +26,7 @@ _KINDS = {
 }
 
 
-def leaves_section(inputs: Inputs) -> Section | None:
+def leaves_section(inputs: ReportInputs) -> Section | None:
     """Return the section of leaves at each level; None if no acquisition has leaves."""
     import pandas as pd
 
@@ -69,7 +69,7 @@ def _is_hierarchy(levels: pd.DataFrame) -> bool:
     )
 
 
-def _figure(inputs: Inputs, runs: list[Run], table: pd.DataFrame) -> Figure:
+def _figure(inputs: ReportInputs, runs: list[RelitAcquisition], table: pd.DataFrame) -> Figure:
     """Draw a panel for each run."""
     columns = min(ABREAST, len(runs))
     rows = -(-len(runs) // columns)

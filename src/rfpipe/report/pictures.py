@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from rfpipe.relighting import picture_errors
 from rfpipe.report.drawing import UNLIT_GAIN, Drawn, Panel, draw, unlit_gain
-from rfpipe.report.inputs import Inputs, Run, SeedGroup
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs, SeedGroup
 from rfpipe.report.page import Illustration
-from rfpipe.report.text import number, percent, words
+from rfpipe.report.text import number, rounded_percent, words
 from rfpipe.stages.evaluate import relative_rms
 
 _MAIN_PICTURE = "horizontal_bar"
@@ -55,14 +55,14 @@ class Compared:
         """The errors as text."""
         known = (it is not None and np.isfinite(it) for it in (self.error, self.indirect))
         is_known, is_indirect_known = known
-        texts = [f"error {percent(self.error)} %"] if is_known else []
+        texts = [f"error {rounded_percent(self.error)} %"] if is_known else []
         if is_indirect_known:
-            indirect = f"error of indirect light {percent(self.indirect)} %"
+            indirect = f"error of indirect light {rounded_percent(self.indirect)} %"
             texts.append(indirect if self.indirect else "no indirect light")
         return "\n".join(texts)
 
 
-def scene_pictures(inputs: Inputs, group: SeedGroup) -> Illustration:
+def scene_pictures(inputs: ReportInputs, group: SeedGroup) -> Illustration:
     """Draw a scene's pictures, with a column for each pattern and rows for each method.
 
     Scenes that differ only in their seeds are represented by the first one.
@@ -93,7 +93,7 @@ def scene_pictures(inputs: Inputs, group: SeedGroup) -> Illustration:
     return Illustration(name, _caption(inputs, runs, white), f"scene_{scene}", figure, light)
 
 
-def compared_pictures(run: Run) -> Iterator[Compared]:
+def compared_pictures(run: RelitAcquisition) -> Iterator[Compared]:
     """Yield the pictures of a run for the report, the floodlit image first."""
     floodlit = run.read("floodlit_truth" if run.has_truth else "floodlit_captured")
     relit = run.read("floodlit_relit")
@@ -114,7 +114,7 @@ def compared_pictures(run: Run) -> Iterator[Compared]:
             yield Compared(words(name), run.middle(image))
 
 
-def _with_truth(run: Run, floodlit: NDArray[Any]) -> Iterator[Compared]:
+def _with_truth(run: RelitAcquisition, floodlit: NDArray[Any]) -> Iterator[Compared]:
     """Yield the pictures under the reference patterns of a run whose truth is known."""
     relit, truth, patterns = (run.read(name) for name in ("relit", "truth", "patterns"))
     dark = patterns == 0 if run.is_coaxial else None
@@ -143,7 +143,7 @@ def _difference(panel: Panel, picture: Compared) -> Drawn:
     return panel.less(reference).untitled()
 
 
-def _written_light(run: Run, pictures: Sequence[Compared]) -> dict[str, NDArray[Any]]:
+def _written_light(run: RelitAcquisition, pictures: Sequence[Compared]) -> dict[str, NDArray[Any]]:
     """Return the radiance of the pictures that are written as files.
 
     These are the floodlit image, a relit picture and its reference; without references, all relit
@@ -165,7 +165,7 @@ def _written_light(run: Run, pictures: Sequence[Compared]) -> dict[str, NDArray[
     }
 
 
-def _caption(inputs: Inputs, runs: Sequence[Run], white: float) -> str:
+def _caption(inputs: ReportInputs, runs: Sequence[RelitAcquisition], white: float) -> str:
     patterns = ", ".join(
         f"{inputs.title(run.method).lower()} with {number(run.patterns)} patterns" for run in runs
     )

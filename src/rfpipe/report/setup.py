@@ -7,14 +7,14 @@ from collections.abc import Iterator, Mapping, Set
 from typing import Any
 
 from rfpipe.provenance import fingerprint, versions
-from rfpipe.report.inputs import Inputs, Run, rig_of
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs, rig_of
 from rfpipe.report.page import Section, Table
-from rfpipe.report.text import plain
+from rfpipe.report.text import yaml_text
 from rfpipe.rigs.calibrated import VERDICTS_KEY
 from rfpipe.rigs.settings import flat
 
 
-def setup_section(inputs: Inputs) -> Section:
+def setup_section(inputs: ReportInputs) -> Section:
     """Return the section of settings, values that scenes choose for null, rigs, and versions."""
     names = ["setting", "value"]
     shaping = inputs.config.result_settings()
@@ -52,10 +52,10 @@ def _without_idle_methods(settings: Mapping[str, Any], ran: Set[str]) -> dict[st
     return {**without_idle(settings), "scenes": scenes}
 
 
-def _choices_table(inputs: Inputs) -> list[Table]:
+def _choices_table(inputs: ReportInputs) -> list[Table]:
     """Return the table of values that scenes choose for null settings, in a list, or none."""
     rows = [
-        [scene, choice["setting"], plain(choice["value"]), choice["reason"]]
+        [scene, choice["setting"], yaml_text(choice["value"]), choice["reason"]]
         for scene in inputs.scenes
         for choice in inputs.light_of(scene).get("choices", [])
     ]
@@ -64,7 +64,7 @@ def _choices_table(inputs: Inputs) -> list[Table]:
     return [Table("Chosen by scenes", caption, names, rows, 4, is_folded=False)] if rows else []
 
 
-def _rig_tables(inputs: Inputs) -> Iterator[Table]:
+def _rig_tables(inputs: ReportInputs) -> Iterator[Table]:
     """Yield the description of devices and sensor of each rig that isn't simulated."""
     groups: dict[str, list[str]] = {}
     rigs: dict[str, dict[str, Any]] = {}
@@ -89,7 +89,7 @@ def _camera_of(sensor: Mapping[str, Any]) -> dict[str, Any]:
     return _camera_of(sensor["sensor"]) if "sensor" in sensor else dict(sensor)
 
 
-def _versions(inputs: Inputs) -> dict[str, str]:
+def _versions(inputs: ReportInputs) -> dict[str, str]:
     """Return the versions of the packages that made the report or recorded its scenes."""
     recorded = [run.facts.get("recorded", {}).get("versions", {}) for run in inputs.runs]
     return dict(ChainMap(versions(), *recorded))
@@ -100,7 +100,7 @@ def _with_values(settings: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     yield from ((name, value) for name, value in flat(settings).items() if value not in (None, []))
 
 
-def provenance_of(inputs: Inputs) -> dict[str, Any]:
+def provenance_of(inputs: ReportInputs) -> dict[str, Any]:
     """Return the origin of a report as plain data."""
     shaping = inputs.config.result_settings()
     return {
@@ -112,7 +112,7 @@ def provenance_of(inputs: Inputs) -> dict[str, Any]:
     }
 
 
-def _acquisition(run: Run) -> dict[str, Any]:
+def _acquisition(run: RelitAcquisition) -> dict[str, Any]:
     verified = {name: run.verified[name] for name in ("mean_error", "worst_error") if run.verified}
     return {
         "scene": run.scene,

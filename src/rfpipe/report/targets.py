@@ -7,7 +7,7 @@ from typing import Any
 
 from rfpipe.config.model import TARGET_MARGIN
 from rfpipe.jobs.targets import misses
-from rfpipe.report.text import percent
+from rfpipe.report.text import rounded_percent
 
 
 def ending_of(level_rows: Sequence[Mapping[str, Any]]) -> str:
@@ -15,7 +15,7 @@ def ending_of(level_rows: Sequence[Mapping[str, Any]]) -> str:
     return next((row["ended"] for row in reversed(level_rows) if "ended" in row), "")
 
 
-def missed_targets(
+def missed_target_texts(
     row: Mapping[str, Any], reason: str, *, by_few_pictures: bool = False
 ) -> Iterator[str]:
     """Yield a sentence for each missed target of an acquisition.
@@ -35,14 +35,14 @@ def missed_targets(
     """
     measured = row.get("mean_error"), row.get("mean_indirect")
     for miss in misses(row, measured, row, TARGET_MARGIN if by_few_pictures else 1.0):
-        if percent(miss.error) == percent(miss.accepted):
+        if rounded_percent(miss.error) == rounded_percent(miss.accepted):
             continue
         source = (
             "estimated by the method" if miss.is_estimate else f"verified by: {row['verified']}"
         )
         yield (
-            f"TARGET MISSED: the mean {miss.quantity} is {percent(miss.error)} %, "
-            f"its target is {percent(miss.target)} % ({source}). "
+            f"TARGET MISSED: the mean {miss.quantity} is {rounded_percent(miss.error)} %, "
+            f"its target is {rounded_percent(miss.target)} % ({source}). "
             f"{_explained(miss.estimate, miss.target, reason)}"
         )
 
@@ -51,7 +51,7 @@ def _explained(estimated: float | None, limit: float, reason: str) -> str:
     """Describe the method's estimate, and the reason for its end."""
     if estimated is None:
         return f"The method ended there: {reason}." if reason else "The method gave no estimate."
-    stated = f"The method estimated {percent(estimated)} %"
+    stated = f"The method estimated {rounded_percent(estimated)} %"
     if reason:
         return f"{stated} and ended there: {reason}."
     if estimated <= limit:

@@ -35,7 +35,7 @@ def number(value: Any, form: str = ",.0f", scale: float = 1.0) -> str:
     return format(value * scale, form)
 
 
-def percent(value: Any) -> str:
+def rounded_percent(value: Any) -> str:
     """Return a fraction in per cent, with two decimals or more below 10 %; a dash for None."""
     is_small = value is not None and value < 0.1
     return decimals(value) if is_small and math.isfinite(value) else number(value, ".0f", 100)
@@ -43,7 +43,7 @@ def percent(value: Any) -> str:
 
 def indirect_percent(value: Any) -> str:
     """Return an error of indirect light in per cent; "none" for a scene without indirect light."""
-    return "none" if value == 0 else percent(value)
+    return "none" if value == 0 else rounded_percent(value)
 
 
 def fixed(digits: int) -> Callable[[Any], str]:
@@ -59,7 +59,7 @@ def rig_standing(rig: Mapping[str, Any]) -> str:
     return next((STANDINGS[it] for it in reversed(STANDINGS) if it in verdicts), "no calibration")
 
 
-def plain(value: Any) -> str:
+def yaml_text(value: Any) -> str:
     """Return a setting's value as in YAML."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 

@@ -8,13 +8,13 @@ from typing import Any
 
 from rfpipe.calibration.steps import STEPS
 from rfpipe.report.drawing import Drawn, draw
-from rfpipe.report.inputs import Inputs, Run, rig_of
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs, rig_of
 from rfpipe.report.page import Block, Column, Illustration, Section, Table, table_of
-from rfpipe.report.text import ERROR, number, percent
+from rfpipe.report.text import ERROR, number, rounded_percent
 from rfpipe.rigs.calibrated import STANDINGS, VERDICTS_KEY, poor_verdicts
 
 
-def verification_section(inputs: Inputs) -> Section | None:
+def verification_section(inputs: ReportInputs) -> Section | None:
     """Return the section of errors in verification pictures; None without such pictures."""
     runs = [run for run in inputs.runs if run.verified]
     if not runs:
@@ -27,7 +27,7 @@ def verification_section(inputs: Inputs) -> Section | None:
     return Section("verification", "Verification by separate pictures", blocks)
 
 
-def _error_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
+def _error_table(inputs: ReportInputs, runs: Sequence[RelitAcquisition]) -> Table:
     """Return the table of errors in verification pictures and of changes during the capture."""
     names = ("mean_error", "worst_error", "worst_picture", "noise", "drift", "moved", "saturated")
     rows = [
@@ -48,12 +48,12 @@ def _error_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
     )
     columns: list[Column] = [
         ("pictures", "pictures", number),
-        ("mean error, %", "mean_error", percent),
-        ("largest error, %", "worst_error", percent),
+        ("mean error, %", "mean_error", rounded_percent),
+        ("largest error, %", "worst_error", rounded_percent),
         ("in picture", "worst_picture", str),
-        ("noise floor, %", "noise", percent),
-        ("change of the lamp, %", "drift", percent),
-        ("change of the picture, %", "moved", percent),
+        ("noise floor, %", "noise", rounded_percent),
+        ("change of the lamp, %", "drift", rounded_percent),
+        ("change of the picture, %", "moved", rounded_percent),
         ("saturated samples", "saturated", number),
     ]
     return table_of(
@@ -62,7 +62,7 @@ def _error_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
     )  # fmt: skip
 
 
-def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
+def _picture_table(inputs: ReportInputs, runs: Sequence[RelitAcquisition]) -> Table:
     """Return the errors of each verification picture."""
     rows = [
         {"scene": run.scene, "method": run.method, **picture}
@@ -74,60 +74,60 @@ def _picture_table(inputs: Inputs, runs: Sequence[Run]) -> Table:
         "pictures."
     )
     columns: list[Column] = [
-        ("error, %", "error", percent),
-        ("standard error, %", "standard_error", percent),
-        ("plain error, %", "plain_error", percent),
-        ("noise floor, %", "noise", percent),
+        ("error, %", "error", rounded_percent),
+        ("standard error, %", "standard_error", rounded_percent),
+        ("plain error, %", "plain_error", rounded_percent),
+        ("noise floor, %", "noise", rounded_percent),
     ]
     labels: list[Column] = [*inputs.labels, ("picture", "name", str)]
     return table_of("Errors by picture", caption, rows, labels, columns, csv="pictures.csv")
 
 
-def summary(inputs: Inputs, run: Run) -> str:
+def summary(inputs: ReportInputs, run: RelitAcquisition) -> str:
     """Return a sentence on a run's verification."""
     facts = run.verified
     name = f"{run.scene}, {inputs.title(run.method).lower()}"
-    mean, largest = percent(facts["mean_error"]), percent(facts["worst_error"])
+    mean, largest = rounded_percent(facts["mean_error"]), rounded_percent(facts["worst_error"])
     return (
         f"{name}: the mean error of {len(facts['pictures'])} relit pictures is {mean} %; the "
         f"largest, of {facts['worst_picture']}, is {largest} %; the noise floor is "
-        f"{percent(facts['noise'])} %.{_within_bound(inputs, run)}"
+        f"{rounded_percent(facts['noise'])} %.{_within_bound(inputs, run)}"
     )
 
 
-def _within_bound(inputs: Inputs, run: Run) -> str:
+def _within_bound(inputs: ReportInputs, run: RelitAcquisition) -> str:
     bound = inputs.config.bound_of(run.scene, run.method)
     if bound is None or _is_above(inputs, run):
         return ""
-    return f" This is within the {percent(bound)} % accepted."
+    return f" This is within the {rounded_percent(bound)} % accepted."
 
 
-def _is_above(inputs: Inputs, run: Run) -> bool:
+def _is_above(inputs: ReportInputs, run: RelitAcquisition) -> bool:
     """Test whether the measured error exceeds the accepted error, or is unknown."""
     bound, error = inputs.config.bound_of(run.scene, run.method), run.verified["mean_error"]
     return bound is not None and (error is None or error > bound)
 
 
-def alarms_of(inputs: Inputs, run: Run) -> list[str]:
+def alarms_of(inputs: ReportInputs, run: RelitAcquisition) -> list[str]:
     """Return sentences on changes during the capture, and on an error above the accepted one."""
     if not run.verified:
         return []
     alarms = [f"NOTICED DURING THE CAPTURE, {alarm}." for alarm in run.verified["alarms"]]
     if _is_above(inputs, run):
-        bound = percent(inputs.config.bound_of(run.scene, run.method))
-        error = percent(run.verified["mean_error"])
+        bound = rounded_percent(inputs.config.bound_of(run.scene, run.method))
+        error = rounded_percent(run.verified["mean_error"])
         alarms.insert(0, f"ABOVE THE ACCEPTED ERROR: verified {error} %, {bound} % is accepted.")
     return alarms
 
 
-def _pictures(inputs: Inputs, run: Run) -> Illustration:
+def _pictures(inputs: ReportInputs, run: RelitAcquisition) -> Illustration:
     """Draw each picture as captured and as relit, and their difference, two pictures in a row."""
     assert run.verified_images is not None
     relit, captured = (run.verified_images.read(name) for name in ("relit", "captured"))
     radiance: dict[str, Any] = {}
     panels: list[Drawn] = []
     for index, picture in enumerate(run.verified["pictures"]):
-        name, error = picture["name"], f"error {percent(picture['error'])} %"
+        name, error = picture["name"], f"error {rounded_percent(picture['error'])} %"
         captured_panel = run.panel(run.middle(captured[index]), name)
         relit_panel = run.panel(run.middle(relit[index]), "relit", error)
         slug = name.replace(" ", "_")
@@ -142,7 +142,7 @@ def _pictures(inputs: Inputs, run: Run) -> Illustration:
     return Illustration(f"{run.scene}, {inputs.title(run.method)}", caption, slug, figure, radiance)
 
 
-def verdicts_section(inputs: Inputs) -> Section:
+def verdicts_section(inputs: ReportInputs) -> Section:
     """Return the section of the rigs' calibrations; it has no blocks for simulated rigs."""
     groups: dict[str, list[str]] = {}
     for run in inputs.runs:

@@ -108,7 +108,7 @@ def load_calibration(folder: str | Path) -> Calibration:
             f"{folder}: has no complete calibration ({FACTS} is missing); run `{command}`, or set "
             "the rig's calibration to null"
         )
-    manifest, arrays = read_parts(folder / FACTS, folder / ARRAYS)
+    manifest, arrays = read_manifest_and_arrays(folder / FACTS, folder / ARRAYS)
     return Calibration(
         ProjectorLayout.from_arrays(arrays) if "ray_of_pixel" in arrays else None,
         Resampling.from_arrays(arrays) if "resampling_shape" in arrays else None,
@@ -120,7 +120,9 @@ def load_calibration(folder: str | Path) -> Calibration:
     )
 
 
-def read_parts(path: Path, store: Path) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def read_manifest_and_arrays(
+    path: Path, store: Path
+) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read a manifest and its arrays; IntegrityError if the arrays have another digest."""
     manifest, bundle = read_manifest(path), open_arrays(store)
     if bundle.digest != manifest["arrays"]:

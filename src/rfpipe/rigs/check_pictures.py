@@ -137,7 +137,7 @@ class References:
         return bool(np.isfinite(self.noise).any()) and self.white_rate > 0
 
 
-class Fit(NamedTuple):
+class CheckFit(NamedTuple):
     """Fit of a lit check picture; NaN in exposures that cannot be fitted.
 
     Attributes
@@ -222,7 +222,7 @@ def ratios_of_brackets(
     return ratios[:, 0], ratios[:, 1]
 
 
-def fit_picture(picture: CheckPicture, references: References) -> Fit:
+def fit_picture(picture: CheckPicture, references: References) -> CheckFit:
     """Fit each exposure of a lit picture."""
     exposures = len(references.exposures)
     along = np.array(_GAIN[picture.kind], np.float64)
@@ -249,7 +249,7 @@ def fit_picture(picture: CheckPicture, references: References) -> Fit:
             of_room = np.array([white * (along[0] < 0), white * (along[1] < 0), 1.0])
             room[index] = of_room @ solutions[index]
             room_error[index] = np.hypot(np.sqrt(of_room @ covariance @ of_room), bias * white)
-    return Fit(solutions, gain, error, residual, room, room_error)
+    return CheckFit(solutions, gain, error, residual, room, room_error)
 
 
 def _usable(references: References, exposure: int) -> NDArray[np.bool_]:

@@ -179,7 +179,7 @@ def shown_bracket(
             frames = np.asarray(camera.expose())
             if undisturbed(projector):
                 expected = camera.sensor.frame_shape(camera.shape, camera.channels)
-                return check_frames(frames, expected, camera.sensor.frame_dtype)
+                return check_frame_shape(frames, expected, camera.sensor.frame_dtype)
             _log.warning(
                 "%s: the projector's picture was lost or hidden during the exposure; repeating it",
                 name,
@@ -192,7 +192,7 @@ def shown_bracket(
         raise CaptureError(f"{name}: {error}") from error
 
 
-def check_frames(
+def check_frame_shape(
     frames: NDArray[Any], shape: tuple[int, ...], dtype: np.dtype[Any]
 ) -> NDArray[Any]:
     """Return frames; CaptureError if their shape or dtype is wrong."""

@@ -42,8 +42,8 @@ from rfpipe.rigs.check_pictures import (
 )
 from rfpipe.rigs.faults import (
     SIGNIFICANCE,
+    AcceptedChanges,
     Fault,
-    Limits,
     drift_fault,
     late_fault,
     moved_fault,
@@ -56,7 +56,7 @@ Double = NDArray[np.float64]
 
 
 def diagnose(
-    pictures: Sequence[CheckPicture], references: References, limits: Limits
+    pictures: Sequence[CheckPicture], references: References, limits: AcceptedChanges
 ) -> list[Fault]:
     """Find the faults that check pictures show, the one to mend first first.
 
@@ -65,7 +65,7 @@ def diagnose(
     pictures : sequence of CheckPicture
         In the order of capture.
     references : References
-    limits : Limits
+    limits : AcceptedChanges
 
     Returns
     -------

@@ -48,7 +48,7 @@ captures without faults, the largest changes were 3.9 standard errors for gains 
 of gain only."""
 
 
-class Limits(NamedTuple):
+class AcceptedChanges(NamedTuple):
     """Relative changes that are accepted.
 
     Attributes
@@ -67,17 +67,17 @@ class Limits(NamedTuple):
     moved: float
 
 
-CALIBRATION = Limits(light=0.01, room=0.002, moved=0.05)
+CALIBRATION = AcceptedChanges(light=0.01, room=0.002, moved=0.05)
 """Limits for a calibration's check pictures. Motion by half a pixel changes them by 0.15."""
 
-CAPTURE = Limits(light=0.02, room=0.01, moved=0.02)
+CAPTURE = AcceptedChanges(light=0.02, room=0.01, moved=0.02)
 """Limits for an acquisition. Motion by half a pixel changes its fine random pattern by 1; a lamp
 whose light changes in parts of the image, by at most 0.002."""
 
-OFFLINE = Limits(light=0.03, room=0.006, moved=0.05)
+OFFLINE = AcceptedChanges(light=0.03, room=0.006, moved=0.05)
 """Limits for offline pictures: shutters and lenses repeat their exposure within 2 %."""
 
-NOTED = Limits(light=0.005, room=0.005, moved=0.02)
+NOTED = AcceptedChanges(light=0.005, room=0.005, moved=0.02)
 """Limits for an acquisition below which changes aren't logged."""
 
 
@@ -109,7 +109,7 @@ class Fault(NamedTuple):
         """Change and remedy as a complete sentence."""
         return f"{self.text[0].upper()}{self.text[1:]}."
 
-    def exceeds(self, limits: Limits) -> bool:
+    def exceeds(self, limits: AcceptedChanges) -> bool:
         """Test whether the fault is larger than accepted."""
         limit = {"room": limits.room, "moved": limits.moved}.get(self.kind, limits.light)
         return self.size > limit

@@ -73,7 +73,7 @@ class StatusAnswer(Metrics):
     )
 
 
-class Limits(BaseModel):
+class RequestLimits(BaseModel):
     """Limits of requests."""
 
     patterns: int = Field(description="Largest number of patterns in a request.")
@@ -92,7 +92,7 @@ class RigAnswer(BaseModel):
     has_arrays: bool = Field(description="Whether the sensor also needs /v1/rig/arrays.")
     description: dict[str, Any] = Field(description="Everything that affects a frame.")
     digest: str = Field(description="Fingerprint of the description.")
-    limits: Limits
+    limits: RequestLimits
 
 
 class LeaseRequest(BaseModel):
@@ -148,7 +148,7 @@ class Message:
             write(member)
 
 
-def pack(
+def pack_message(
     facts: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], *, deflate: bool = False
 ) -> bytes:
     """Write a message of facts and arrays; see `Message`."""
@@ -158,7 +158,7 @@ def pack(
     return message.content()
 
 
-def unpack(message: bytes, limit: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
+def unpack_message(message: bytes, limit: int) -> tuple[dict[str, Any], dict[str, NDArray[Any]]]:
     """Read the facts and arrays of a message, and verify their checksums.
 
     `limit` is the largest total size of the arrays in bytes, after decompression.
@@ -247,7 +247,7 @@ def encode_patterns(patterns: Float, keys: Sequence[Sequence[int]]) -> bytes:
     is_binary = bool((lit | (patterns == 0)).all())
     array = np.packbits(lit.reshape(len(patterns), -1), axis=1) if is_binary else patterns
     facts = {"keys": [[int(part) for part in key] for key in keys]}
-    return pack(facts, {"patterns": array}, deflate=is_binary)
+    return pack_message(facts, {"patterns": array}, deflate=is_binary)
 
 
 def decode_patterns(
@@ -264,7 +264,7 @@ def decode_patterns(
     InputError
         When a weight isn't in [0, 1].
     """
-    facts, arrays = unpack(message, byte_limit)
+    facts, arrays = unpack_message(message, byte_limit)
     try:
         sent = _Facts.model_validate(facts)
     except ValidationError as error:

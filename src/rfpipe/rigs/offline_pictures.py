@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
-from rfpipe.pictures import Header, check_mosaic, picture_files, read_header, read_picture
+from rfpipe.pictures import Header, check_raw_mosaic, picture_files, read_header, read_picture
 from rfpipe.pictures.order import are_late, correlation, misplaced
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.base import Key
@@ -204,7 +204,7 @@ def _checked_header(rig: OfflineRig, path: Path) -> Header:
             "offline.camera_corners"
         )
     if isinstance(rig.camera_sensor, CameraModel):
-        check_mosaic(path, header, rig.camera_sensor.bayer)
+        check_raw_mosaic(path, header, rig.camera_sensor.bayer)
     channels = 1 if _is_mosaic(rig) else rig.channels
     if header.channels != channels:
         raise CaptureError(

@@ -26,7 +26,7 @@ from rfpipe.rigs.messages import (
     RigAnswer,
     StatusAnswer,
     encode_patterns,
-    unpack,
+    unpack_message,
 )
 
 if TYPE_CHECKING:
@@ -147,7 +147,7 @@ class RemoteRig(Closing):
     def _brackets(self, answer: bytes, keys: Sequence[Key]) -> NDArray[Any]:
         """Read the brackets of an answer; TransferError if it is damaged."""
         frames = np.empty((len(keys), *self._frame_shape), self.sensor.frame_dtype)
-        facts, arrays = unpack(answer, frames.nbytes)
+        facts, arrays = unpack_message(answer, frames.nbytes)
         if facts.get("keys") != [list(map(int, key)) for key in keys]:
             raise TransferError("its brackets have the keys of other patterns")
         for index, frame in enumerate(frames):
@@ -196,7 +196,9 @@ class RemoteRig(Closing):
     def _sensor(self) -> Sensor:
         arrays = None
         if self._rig.has_arrays:
-            _, arrays = unpack(self._connection.send("GET", "/v1/rig/arrays").content, 2**34)
+            _, arrays = unpack_message(
+                self._connection.send("GET", "/v1/rig/arrays").content, 2**34
+            )
         try:
             return sensor_from_description(self._rig.sensor, arrays)
         except InputError as error:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key
-from rfpipe.rigs.devices import check_frames
+from rfpipe.rigs.devices import check_frame_shape
 from rfpipe.rigs.stale import ExposureNoise, is_small
 from rfpipe.units import SATURATION_FRACTION, SEQUENCE_KEY
 
@@ -315,7 +315,7 @@ class DevicePlayer:
         finally:
             frames = np.asarray(camera.collect())  # also disarms the camera
         item = camera.sensor.frame_shape(camera.shape, camera.channels)[1:]
-        return check_frames(frames, (len(frames), *item), camera.sensor.frame_dtype)
+        return check_frame_shape(frames, (len(frames), *item), camera.sensor.frame_dtype)
 
 
 def device_sequencer(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.scenes.geometries import surface_albedo
-from rfpipe.scenes.pinholes import Pinhole, Points, first_hits, overlaps
+from rfpipe.scenes.pinholes import Pinhole, Points, first_hits, overlapped_cells
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
 from rfpipe.scenes.surfaces import Rectangle, Vector, block, horizontal, rotation, upright, vector
 
@@ -50,7 +50,7 @@ _TINTS: dict[str, Vector] = {
 
 
 @dataclass(frozen=True)
-class Panel(Rectangle):
+class TexturedRectangle(Rectangle):
     """A rectangle with texels; `surface` and `tint` as in `surface_albedo`.
 
     Panels that `enclose` bound the room: the scene has no surfaces behind them.
@@ -106,7 +106,7 @@ def room_scene(
 
 def panels_scene(
     pinholes: Sequence[Pinhole],
-    panels: Sequence[Panel],
+    panels: Sequence[TexturedRectangle],
     domain: tuple[int, ...],
     *,
     channels: int,
@@ -165,7 +165,7 @@ class TexelGrid:
     Panels are divided evenly into texels, whose sides are about `pitch` in scene units.
     """
 
-    def __init__(self, panels: Sequence[Panel], pitch: float) -> None:
+    def __init__(self, panels: Sequence[TexturedRectangle], pitch: float) -> None:
         self.panels = tuple(panels)
         sides = 2 * np.linalg.norm([(panel.edge_v, panel.edge_u) for panel in panels], axis=2)
         self.shapes: NDArray[np.int64] = np.maximum(1, np.rint(sides / pitch)).astype(np.int64)
@@ -253,7 +253,7 @@ def texel_weights(
         # from coordinates in [-1, 1] along both edges to rows and columns of texels
         counts = grid.shapes[hits.surface]
         centre, width = (centre[:, ::-1] + 1) / 2 * counts, width[:, ::-1] * counts / 2
-        box, *position, weight = overlaps(centre, np.minimum(width, 1))
+        box, *position, weight = overlapped_cells(centre, np.minimum(width, 1))
         row, column = np.clip(np.stack(position), 0, counts[box].T - 1)  # clamp to the edge
         texel = grid.starts[hits.surface[box]] + row * counts[box, 1] + column
         shape = pixels, int(grid.starts[-1])
@@ -262,7 +262,7 @@ def texel_weights(
     return vstack(matrices, format="csr", dtype=np.float64), np.concatenate(footprint)
 
 
-def room_panels(surfaces: Sequence[str]) -> tuple[Panel, ...]:
+def room_panels(surfaces: Sequence[str]) -> tuple[TexturedRectangle, ...]:
     """Build the panels of the room, in the coordinates of the array of views.
 
     Two walls at a right angle and a floor, and in front of them a box, a poster and a floating
@@ -289,11 +289,13 @@ def room_panels(surfaces: Sequence[str]) -> tuple[Panel, ...]:
     )
 
 
-def _panel(rectangle: Rectangle, surface: str, *, encloses: bool = False) -> Panel:
+def _panel(rectangle: Rectangle, surface: str, *, encloses: bool = False) -> TexturedRectangle:
     """Transform a rectangle to the views' coordinates; views look down by 35 degrees."""
     name, tilt = rectangle.name, rotation(0, 35)
     centre, *edges = (
         tilt @ value for value in (rectangle.centre, rectangle.edge_u, rectangle.edge_v)
     )
     origin = vector(np.add(centre, (0, 0, DISTANCE)))
-    return Panel(origin, vector(edges[0]), vector(edges[1]), name, surface, _TINTS[name], encloses)
+    return TexturedRectangle(
+        origin, vector(edges[0]), vector(edges[1]), name, surface, _TINTS[name], encloses
+    )

@@ -39,7 +39,7 @@ from rfpipe.scenes.pinholes import (
     Points,
     clamp_of_squared_distance,
     first_hits,
-    overlaps,
+    overlapped_cells,
 )
 from rfpipe.scenes.radiosity import RadiosityScene, Rays
 from rfpipe.scenes.surfaces import Obstruction, Occluder, Surface, is_occluded
@@ -229,7 +229,7 @@ def _weights(hits: Hits, opposite: Pinhole, visible: NDArray[np.bool_]) -> csr_a
     entries = [(np.zeros(0), np.zeros(0, np.int64), np.zeros(0, np.int64))]
     for first in range(0, len(index), _BOXES_AT_A_TIME):
         batch = slice(first, first + _BOXES_AT_A_TIME)
-        box, row, column, weight = overlaps(centre[batch], width[batch])
+        box, row, column, weight = overlapped_cells(centre[batch], width[batch])
         inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
         pixel = row * columns + column
         entries.append((weight[inside], index[batch][box[inside]], pixel[inside]))

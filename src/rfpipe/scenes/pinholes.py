@@ -241,7 +241,7 @@ def first_hits(pinhole: Pinhole, surfaces: Sequence[Surface], parts: int = 1) ->
     return Hits(pinhole, parts, rays, surface, positions, normals, areas)
 
 
-def overlaps(
+def overlapped_cells(
     centre: Double, width: Double
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], Double]:
     """Distribute boxes, given by centres and widths (n, 2), to the unit cells that they overlap.

@@ -62,7 +62,7 @@ def aim(devices: Devices, period: int, port: int, say: Callable[[str], object]) 
         When the devices can't be opened.
     """
     token = secrets.token_urlsafe(24)
-    with bound_socket("127.0.0.1", port) as bound, closing(Watch(devices, period)) as watch:
+    with bound_socket("127.0.0.1", port) as bound, closing(SceneMonitor(devices, period)) as watch:
         app = create_app(watch, token)
         config = local_config(app, access_log=False, timeout_graceful_shutdown=2)
         say(f"http://127.0.0.1:{bound.getsockname()[1]}/?token={token}")
@@ -70,7 +70,7 @@ def aim(devices: Devices, period: int, port: int, say: Callable[[str], object]) 
             uvicorn.Server(config).run(sockets=[bound])
 
 
-def create_app(watch: Watch, token: str) -> FastAPI:
+def create_app(watch: SceneMonitor, token: str) -> FastAPI:
     """Create the ASGI application of the page for one rig.
 
     The address ``/?token=...`` with the right token sets a cookie, which all other requests need.
@@ -113,7 +113,7 @@ def create_app(watch: Watch, token: str) -> FastAPI:
     return app
 
 
-class View(NamedTuple):
+class AimView(NamedTuple):
     """Latest view of the scene.
 
     Attributes
@@ -131,7 +131,7 @@ class View(NamedTuple):
     facts: dict[str, Any]
 
 
-class Watch:
+class SceneMonitor:
     """Measures the scene repeatedly until it is closed; failed devices are reported and retried.
 
     Parameters
@@ -149,7 +149,7 @@ class Watch:
 
     def __init__(self, devices: Devices, period: int) -> None:
         self._period = period
-        self.view = View(0, b"", {})
+        self.view = AimView(0, b"", {})
         self._error: str | None = None
         self._stopping = threading.Event()
         self._thread = ThreadPoolExecutor(1, "aim")
@@ -203,7 +203,7 @@ class Watch:
             "exposures": list(model.exposures),
             "proposal": f"sensor:\n  exposures: [{proposal}]",
         }
-        self.view = View(self.view.number + 1, _png(picture), facts)
+        self.view = AimView(self.view.number + 1, _png(picture), facts)
 
 
 def _png(picture: NDArray[np.float64]) -> bytes:

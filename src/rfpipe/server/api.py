@@ -25,11 +25,11 @@ from rfpipe.rigs.messages import (
     Health,
     LeaseAnswer,
     LeaseRequest,
-    Limits,
+    RequestLimits,
     RigAnswer,
     StatusAnswer,
     decode_patterns,
-    pack,
+    pack_message,
 )
 from rfpipe.server.guard import CAPTURE_PATH, PROBLEM_TYPE, Guard, Problem, add_handlers
 from rfpipe.server.settings import ServerSettings
@@ -62,7 +62,7 @@ class _Served:
         self.began, self.body_seconds = time.monotonic(), settings.body_seconds
         self.rig = _described(worker.rig, settings)
         arrays = getattr(worker.rig.sensor, "arrays", dict)
-        self.arrays = pack({}, arrays(), deflate=True)  # a resampled sensor has arrays
+        self.arrays = pack_message({}, arrays(), deflate=True)  # a resampled sensor has arrays
         # only one request's body is in memory at a time
         self.reading = asyncio.Lock()
 
@@ -241,7 +241,7 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
         has_arrays=hasattr(rig.sensor, "arrays"),
         description=description,
         digest=fingerprint(description),
-        limits=Limits(
+        limits=RequestLimits(
             patterns=max(1, min(_MOST_PATTERNS, brackets, patterns)),
             request_bytes=settings.most_request_bytes,
             lease_seconds=settings.lease_seconds,

@@ -18,7 +18,7 @@ from starlette.exceptions import HTTPException
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
-from rfpipe.rigs.devices import check_frames
+from rfpipe.rigs.devices import check_frame_shape
 from rfpipe.rigs.messages import Message, Metrics, PackedPatterns
 from rfpipe.units import picture_name
 
@@ -256,7 +256,7 @@ class RigWorker:
         try:
             shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
             brackets = capture_batch(rig, patterns, keys)
-            return check_frames(brackets, (len(keys), *shape), rig.sensor.frame_dtype)
+            return check_frame_shape(brackets, (len(keys), *shape), rig.sensor.frame_dtype)
         except InputError:
             raise
         except Exception as error:

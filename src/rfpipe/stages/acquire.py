@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.config.capture import PRECAUTIONS, Watch
+from rfpipe.config.capture import PRECAUTIONS, WatchMode
 from rfpipe.errors import InputError
 from rfpipe.methods import MethodDescription, get_method
 from rfpipe.rigs import Rig
@@ -98,7 +98,7 @@ def acquire(
     symmetry_frames: int = 6,
     asymmetry: float = 0.05,
     mask_defects: bool = True,
-    watch: Watch | None = None,
+    watch: WatchMode | None = None,
     divide_out_drift: bool | None = None,
     verification: int | None = None,
     **options: Any,
@@ -244,7 +244,7 @@ def _check(
         )
     if symmetry_frames < 0 or symmetry_frames in (1, 2):
         raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
-    if watch not in get_args(Watch):
-        raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(Watch))}")
+    if watch not in get_args(WatchMode):
+        raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(WatchMode))}")
     if verification < 0:
         raise InputError(f"verification is {verification}; 0 or more pictures can be taken")

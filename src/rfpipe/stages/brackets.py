@@ -105,7 +105,7 @@ def capture_brackets(
         When the rig fails or returns invalid frames; captured brackets stay.
     """
     name, count = brackets.name, brackets.count
-    with record(rig, storage, brackets) as frames:
+    with open_recording(rig, storage, brackets) as frames:
         done = int(np.count_nonzero(frames.done))
         if 0 < done < count:
             _log.info(
@@ -137,7 +137,9 @@ def _capture_batch(
         frames.write(first, take_brackets(rig, brackets, first, last))
 
 
-def record(rig: Rig, storage: Storage, brackets: BracketSet) -> AbstractContextManager[Frames]:
+def open_recording(
+    rig: Rig, storage: Storage, brackets: BracketSet
+) -> AbstractContextManager[Frames]:
     """Open the store of brackets for writing; made if there is none."""
     shape, dtype = _layout(rig, brackets)
     return storage.record_frames(

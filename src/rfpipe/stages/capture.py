@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
-from rfpipe.config.capture import Watch
+from rfpipe.config.capture import WatchMode
 from rfpipe.errors import CaptureError, StoreError
 from rfpipe.jobs.job import Progress
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
@@ -250,7 +250,7 @@ def _is_captured(storage: Storage, level: int, sets: list[BracketSet]) -> bool:
     )
 
 
-def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: Watch) -> None:
+def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: WatchMode) -> None:
     """Log what changed among the reference brackets; raise CaptureError where that is refused."""
     camera, black = camera_model_of(sensor), captured["black_frames"]
     if camera is None:

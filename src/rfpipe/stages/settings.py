@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.config.capture import Normalization, Watch
+from rfpipe.config.capture import NormalizationMode, WatchMode
 from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
 from rfpipe.provenance import code_digest, source_digest
 from rfpipe.stages.plan import Plan
@@ -69,12 +69,12 @@ class AcquisitionSettings:
     batch_patterns: int = 16
     when_patterns_change: WhenChanged = "recapture"
     warm_up_minutes: float = 0.0
-    watch: Watch = "off"
+    watch: WatchMode = "off"
     asymmetry: float = 1.0
     mask_defects: bool = True
     divide_out_drift: bool = False
     keep_raw: bool = True
-    normalization: Normalization = "per_channel"
+    normalization: NormalizationMode = "per_channel"
     scene: str = ""
     number_format: NumberFormat = "float32"
     sources: Mapping[str, str] = field(default_factory=dict)

@@ -55,7 +55,7 @@ Float = NDArray[np.float32]
 _log = logging.getLogger(__name__)
 
 
-class Outcome(NamedTuple):
+class TargetComparison(NamedTuple):
     """Comparison of an error with its target.
 
     Attributes
@@ -115,24 +115,26 @@ class Verification:
         spread = float(errors.var()) if len(errors) > 1 else 0.0
         return float(np.sqrt((spread + np.square(noise).mean()) / max(len(errors), 1)))
 
-    def against(self, target: float | None) -> Outcome:
+    def against(self, target: float | None) -> TargetComparison:
         """Compare the mean error with the target error of the method."""
         from rfpipe.config.model import TARGET_MARGIN
 
         error = self.mean_error
         if target is None:
-            return Outcome("unknown", "the method has no target_error")
+            return TargetComparison("unknown", "the method has no target_error")
         if np.isnan(error):
-            return Outcome("unknown", "no picture has light above its noise")
+            return TargetComparison("unknown", "no picture has light above its noise")
         if error <= target:
-            return Outcome("met", f"{percent(error)}% of {percent(target)}%")
+            return TargetComparison("met", f"{percent(error)}% of {percent(target)}%")
         text = (
             f"the error is {percent(error)}% +- {percent(self.standard_error)}%, "
             f"{percent(target)}% was the target"
         )
         if any(misses({"target_error": target}, (error, None), {}, TARGET_MARGIN)):
-            return Outcome("missed", text)
-        return Outcome("unsure", f"{text}: {len(self.table)} pictures are too few to decide")
+            return TargetComparison("missed", text)
+        return TargetComparison(
+            "unsure", f"{text}: {len(self.table)} pictures are too few to decide"
+        )
 
     def facts(self) -> dict[str, Any]:
         """Return plain data for a manifest; unknown values are None."""
@@ -212,10 +214,12 @@ def verify(storage: Storage, transport: Transport) -> Verification:
     drift = storage.read_manifest(VERIFICATION, "merge").get(CHECK_PICTURES)
     gain = np.mean(drift["gain"], axis=0) if drift else np.ones(transport.channels)
     relit = transport.relight_batch(weights)
-    return compare(weights, (images[:, 0], images[:, 1]), relit, gain, read_floodlit(storage))
+    return compare_with_captured(
+        weights, (images[:, 0], images[:, 1]), relit, gain, read_floodlit(storage)
+    )
 
 
-def compare(
+def compare_with_captured(
     patterns: Float,
     captured: tuple[Float, Float],
     relit: Float,

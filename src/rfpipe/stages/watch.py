@@ -28,7 +28,7 @@ from rfpipe.references.reference_images import ReferenceImages, read_references
 from rfpipe.references.repeats import fault_of_repeats, gain_fault_of_repeats
 from rfpipe.rigs import Rig
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, moved_fault, room_fault
-from rfpipe.stages.brackets import BracketSet, Keys, record, take_brackets
+from rfpipe.stages.brackets import BracketSet, Keys, open_recording, take_brackets
 from rfpipe.storage.base import CHECK_PICTURES, Frames, Storage, level_name
 from rfpipe.units import CHECK_PICTURE_KEY
 
@@ -84,7 +84,7 @@ def watching_level(
         check_picture_count(level_brackets.count, interval), settings, repeated,
     )  # fmt: skip
     storage.make_room(level, CHECK_PICTURES, check_brackets.fingerprint, settings, "recapture")
-    with record(rig, storage, check_brackets) as frames:
+    with open_recording(rig, storage, check_brackets) as frames:
         references = None
         if storage.exists(0, "merge"):
             references = read_references(rig.sensor, storage)

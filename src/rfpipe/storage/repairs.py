@@ -17,7 +17,7 @@ from rfpipe.store.places import Place
 RECORDING = "matrix.json"
 """Manifest of recorded light of a scene; its key ``pieces`` has the names of the stores."""
 
-Part = Literal["acquisition", "level", "verification", "calibration", "recording", "report", ""]
+RunPart = Literal["acquisition", "level", "verification", "calibration", "recording", "report", ""]
 """Part of a run to which a manifest belongs."""
 
 _LEVEL = re.compile(r"L\d\d+")
@@ -63,7 +63,7 @@ def is_level_name(folder: Path) -> bool:
     return _LEVEL.fullmatch(folder.name) is not None
 
 
-def part_of(manifest: Path) -> Part:
+def part_of(manifest: Path) -> RunPart:
     """Return the part of a run to which a manifest belongs, by the files around it.
 
     Names don't suffice: a scene or method may have the name of a run's folder, such as `steps`.

@@ -25,7 +25,7 @@ from rfpipe.store.files import (
     canonical_json,
     digest_of,
     hidden_sibling,
-    plain,
+    plain_data,
     remove_tree,
     storage_errors,
 )
@@ -235,7 +235,7 @@ def write_arrays(
         "arrays": entries,
         "attributes": attributes,
     }
-    header = plain(header, f"{path}: attributes")
+    header = plain_data(header, f"{path}: attributes")
     needed = sum(array.nbytes for array in contiguous.values())
     new = hidden_sibling(path, "new")
     with StoreLock(path), storage_errors(path, "writing arrays", needed, resumes=resumes):

@@ -21,7 +21,7 @@ __all__ = [
     "digest_of",
     "free_bytes",
     "hidden_sibling",
-    "plain",
+    "plain_data",
     "remove_tree",
     "storage_errors",
     "to_disk",
@@ -58,7 +58,7 @@ def canonical_json(value: Any, where: str, *, indent: int | None = None) -> byte
     return text.encode()
 
 
-def plain(value: dict[str, Any], where: str) -> dict[str, Any]:
+def plain_data(value: dict[str, Any], where: str) -> dict[str, Any]:
     """Return plain data after a round trip through JSON: sorted keys, tuples as lists."""
     return dict(json.loads(canonical_json(value, where)))
 

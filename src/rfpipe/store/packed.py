@@ -69,7 +69,7 @@ class PackedPlace(ListedPlace):
         return self.base / _object(self.index[self.key][0])
 
 
-def pack(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[str, int]]:
+def pack_files(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[str, int]]:
     """Store files of a folder by the SHA-256 of their contents; return it and the size by name.
 
     An interrupted call can be repeated, and skips stored contents.
@@ -95,7 +95,7 @@ def pack(folder: Path, files: Iterable[Path], output: Path) -> dict[str, tuple[s
     return index
 
 
-def unpack(place: PackedPlace, output: Path) -> None:
+def unpack_files(place: PackedPlace, output: Path) -> None:
     """Restore the files of a packed folder, each verified by its digest."""
 
     def write(name: str) -> None:

@@ -45,7 +45,7 @@ class Comparison:
 
 
 @dataclass(frozen=True)
-class View:
+class PageContent:
     """Content of a page.
 
     Attributes
@@ -73,12 +73,12 @@ class WrittenPage:
     levels: list[int]
 
 
-def write_view(view: View, output: Path, max_bytes: int = MAX_BYTES) -> WrittenPage:
+def write_view(view: PageContent, output: Path, max_bytes: int = MAX_BYTES) -> WrittenPage:
     """Write a self-contained page that relights a transport in any browser.
 
     Parameters
     ----------
-    view : View
+    view : PageContent
     output : Path
         The HTML file.
     max_bytes : int
@@ -165,7 +165,7 @@ def _white_of(transport: Transport) -> float:
     return white if white > 0 else float(floodlit.max()) or 1.0
 
 
-def _render(view: View, manifest: dict[str, Any], blobs: dict[str, str]) -> str:
+def _render(view: PageContent, manifest: dict[str, Any], blobs: dict[str, str]) -> str:
     """Render the page as HTML."""
     from jinja2 import Environment, StrictUndefined
     from markupsafe import Markup

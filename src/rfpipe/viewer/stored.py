@@ -12,7 +12,7 @@ from rfpipe.store import open_arrays
 from rfpipe.store.places import Place
 from rfpipe.transport import open_transport
 from rfpipe.transport.base import estimates
-from rfpipe.viewer.build import Comparison, View, WrittenPage, write_view
+from rfpipe.viewer.build import Comparison, PageContent, WrittenPage, write_view
 
 __all__ = ["view_of", "write_acquisition"]
 
@@ -22,7 +22,7 @@ _MAX_BYTES_OF_TWO = 15 * 10**6
 
 def view_of(
     path: Path | Place, title: str | None = None, comparison: Comparison | None = None
-) -> tuple[View, dict[str, Any]]:
+) -> tuple[PageContent, dict[str, Any]]:
     """Return the view of a stored transport, and the store's attributes.
 
     Parameters
@@ -55,7 +55,9 @@ def view_of(
         "Error of relit pictures": error,
     }
     rows = [(name, value) for name, value in facts.items() if value]
-    return View(transport, title or default_title, facts=rows, comparison=comparison), attributes
+    return PageContent(
+        transport, title or default_title, facts=rows, comparison=comparison
+    ), attributes
 
 
 def _rays(shape: tuple[int, ...]) -> str:

@@ -37,7 +37,7 @@ from rfpipe.methods.adaptive.decisions import (
 )
 from rfpipe.methods.adaptive.model import AdaptiveModel
 from rfpipe.methods.adaptive.state import (
-    TARGET_MARGIN,
+    STOPPING_FRACTION,
     AdaptiveState,
     Phase,
     Round,
@@ -334,7 +334,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
             reason = shortage if phase is not None else decision.reason
             state = state.with_row(ended=reason)
             if state.estimates:
-                ratio = TARGET_MARGIN * state.excess[-1]
+                ratio = STOPPING_FRACTION * state.excess[-1]
                 message = "ended at an estimated error of %.2f times the target: %s"
                 _log.warning(message, ratio, reason)
         return replace(state, next_round=coming)

@@ -17,7 +17,7 @@ from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CellPictures, Residual
 from rfpipe.methods.states import MethodState, joined, with_prefix, without_prefix
 
-TARGET_MARGIN = 0.95
+STOPPING_FRACTION = 0.95
 """Estimated error at which an acquisition ends, relative to the target.
 
 Estimates have a standard deviation of 15 % on open scenes of at least 32 x 36 pixels and of 20 % on
@@ -123,8 +123,8 @@ class AdaptiveState(MethodState):
     @property
     def excess(self) -> list[float]:
         """Estimated errors over 95 % of their targets: the larger of total and indirect light."""
-        total = TARGET_MARGIN * self.options.target_error
-        indirect = TARGET_MARGIN * (self.options.target_indirect or np.inf)
+        total = STOPPING_FRACTION * self.options.target_error
+        indirect = STOPPING_FRACTION * (self.options.target_indirect or np.inf)
         return [float(np.fmax(e.error / total, e.indirect / indirect)) for e in self.estimates]
 
     @property

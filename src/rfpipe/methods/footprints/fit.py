@@ -68,7 +68,7 @@ from rfpipe.transport.multiscale import cells, coarsest_scale
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Views = tuple[ViewPictures, ...]
+PicturesByView = tuple[ViewPictures, ...]
 """Pictures of one channel, or of the channels' sum, for each projector view."""
 
 # Seed, and default number, of the camera rays in the fit of indirect light with several views.
@@ -117,7 +117,7 @@ class _Problem:
 
     camera: RayDomain
     projector: RayDomain
-    grey: Views
+    grey: PicturesByView
     templates: list[BoxTemplates]
     camera_rays: Index | None
     largest_part_count: int
@@ -126,8 +126,8 @@ class _Problem:
 def fit_model(
     camera: RayDomain,
     projector: RayDomain,
-    grey: Views,
-    channels: Iterable[Views],
+    grey: PicturesByView,
+    channels: Iterable[PicturesByView],
     previous: Candidates | None = None,
     limits: FitLimits | None = None,
 ) -> FittedChannels:
@@ -165,7 +165,7 @@ def solution_count(projector: RayDomain, channels: int, *, is_first: bool) -> in
 
 
 def _problem(
-    camera: RayDomain, projector: RayDomain, grey: Views, limits: FitLimits | None
+    camera: RayDomain, projector: RayDomain, grey: PicturesByView, limits: FitLimits | None
 ) -> _Problem:
     view = RayDomain(projector.image_shape)
     templates = []
@@ -208,7 +208,7 @@ def _search_footprints(
     return _fit_weights_of_views(grey, with_transposed(footprints), indirect)
 
 
-def _prepare_last_fit(pictures: Views, footprints: Candidates) -> Candidates:
+def _prepare_last_fit(pictures: PicturesByView, footprints: Candidates) -> Candidates:
     """Drop faint candidates, and set the prior variances for the last fits."""
     parts = zip(pictures, split_views(footprints, len(pictures)), strict=True)
     return join_views(
@@ -220,7 +220,7 @@ def _prepare_last_fit(pictures: Views, footprints: Candidates) -> Candidates:
 
 
 def _fit_parts(
-    pictures: Views,
+    pictures: PicturesByView,
     footprints: Candidates,
     light: IndirectLight,
     camera_rays: Index | None,
@@ -236,7 +236,7 @@ def _fit_parts(
 
 
 def _fit_reciprocal_parts(
-    pictures: Views,
+    pictures: PicturesByView,
     footprints: Candidates,
     light: IndirectLight,
     camera_rays: Index | None,
@@ -266,13 +266,15 @@ def _fit_reciprocal_parts(
 
 
 def _fit_weights_of_views(
-    pictures: Views, footprints: Candidates, indirect: list[Float]
+    pictures: PicturesByView, footprints: Candidates, indirect: list[Float]
 ) -> Candidates:
     views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
     return join_views([fit_weights(part, view, in_view) for part, view, in_view in views])
 
 
-def _fit_channel(problem: _Problem, pictures: Views, combined: ChannelModel) -> ChannelModel:
+def _fit_channel(
+    problem: _Problem, pictures: PicturesByView, combined: ChannelModel
+) -> ChannelModel:
     """Fit a channel, starting from the model of the channels' sum, scaled to its brightness.
 
     The share of the channel, (M,), is its floodlit image over that of the channels' sum.
@@ -352,7 +354,9 @@ def _chart(problem: _Problem, footprints: Candidates) -> Chart:
     return chart_from_view(problem.camera, direct, shape, floodlit)
 
 
-def _mean_indirect_light(pictures: Views, floodlit: Float, direct: csr_array[np.float32]) -> float:
+def _mean_indirect_light(
+    pictures: PicturesByView, floodlit: Float, direct: csr_array[np.float32]
+) -> float:
     """Estimate the mean indirect light of the floodlit image, radiance, at least 0.
 
     With one view it is measured where footprints are dark, in patterns with half of the pixels lit.

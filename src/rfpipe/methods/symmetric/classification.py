@@ -18,12 +18,12 @@ from rfpipe.methods.symmetric.nodes import (
     select,
 )
 from rfpipe.methods.symmetric.pieces import MeasuredPieces, Pieces, Profiles
-from rfpipe.methods.symmetric.rank_test import Limits
+from rfpipe.methods.symmetric.rank_test import Thresholds
 from rfpipe.transport.hierarchical.leaves import LeafSet
 
 
 @dataclass(frozen=True)
-class Candidates:
+class NodeCandidates:
     """Pairs of a level that become empty nodes, leaves or unknown nodes.
 
     Attributes
@@ -46,7 +46,7 @@ class Candidates:
     def __len__(self) -> int:
         return len(self.pair)
 
-    def select(self, chosen: Bools) -> Candidates:
+    def select(self, chosen: Bools) -> NodeCandidates:
         """Return some of the candidates."""
         return replace(
             self, pair=self.pair[chosen], is_final=self.is_final[chosen], parent=self.parent[chosen]
@@ -63,7 +63,7 @@ class Classification:
 
 
 def classify(
-    tree: BlockTree, level: int, pieces: Pieces, candidates: Candidates, limits: Limits
+    tree: BlockTree, level: int, pieces: Pieces, candidates: NodeCandidates, limits: Thresholds
 ) -> Classification:
     """Divide measured pairs of a level into empty nodes, leaves and unknown nodes.
 
@@ -95,9 +95,9 @@ def _estimate(
     tree: BlockTree,
     level: int,
     pieces: Pieces,
-    candidates: Candidates,
+    candidates: NodeCandidates,
     energy: Double,
-    limits: Limits,
+    limits: Thresholds,
 ) -> tuple[Frontier, Bools]:
     """Return pairs as nodes with rank-1 estimates, and which of them are leaves, bool (n,).
 
@@ -128,7 +128,7 @@ def _estimate(
     return Frontier(a, b, nodes.factors, energy, variance), is_leaf
 
 
-def _profiles(tree: BlockTree, level: int, pairs: Pairs, candidates: Candidates) -> Profiles:
+def _profiles(tree: BlockTree, level: int, pairs: Pairs, candidates: NodeCandidates) -> Profiles:
     """Locate the images of the pairs' blocks in the factors of the nodes above."""
     parents, parent = candidates.parents, candidates.parent
     if not len(parents):

@@ -25,7 +25,7 @@ from rfpipe.methods.base import (
 )
 from rfpipe.methods.descent import BlockTreeMethod
 from rfpipe.methods.states import MethodState, joined, level_row, with_prefix, without_prefix
-from rfpipe.methods.symmetric.classification import Candidates, Classification, classify
+from rfpipe.methods.symmetric.classification import Classification, NodeCandidates, classify
 from rfpipe.methods.symmetric.nodes import (
     Frontier,
     as_leaves,
@@ -36,7 +36,7 @@ from rfpipe.methods.symmetric.nodes import (
     select,
 )
 from rfpipe.methods.symmetric.pieces import Subdivision, node_batches, residual_pieces
-from rfpipe.methods.symmetric.rank_test import Limits, Outcome, rank_test
+from rfpipe.methods.symmetric.rank_test import RankTestResult, Thresholds, rank_test
 from rfpipe.methods.symmetric.scheduling import schedule_children
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
@@ -211,7 +211,7 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
         maximum = float(pieces.values.max(initial=0.0))
         rms = float(np.sqrt(np.mean(np.square(pieces.values, dtype=np.float64))))
         state = replace(state, floodlit_maximum=maximum, floodlit_rms=rms)
-        candidates = Candidates(first, np.zeros(1, np.bool_), no_nodes(state.channels), first)
+        candidates = NodeCandidates(first, np.zeros(1, np.bool_), no_nodes(state.channels), first)
         root_node = classify(state.tree, 0, pieces, candidates, _limits(state, tests=1))
         return replace(
             state,
@@ -229,7 +229,7 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
         )
 
 
-def _limits(state: SymmetricState, tests: int) -> Limits:
+def _limits(state: SymmetricState, tests: int) -> Thresholds:
     """Return the thresholds of the rank test of the frontier's nodes.
 
     A pattern that lights half of a block adds up the errors of two of its four children, so that a
@@ -240,11 +240,11 @@ def _limits(state: SymmetricState, tests: int) -> Limits:
     options, tree, level = state.options, state.tree, state.level
     node_limit = (options.tolerance * state.floodlit_maximum) ** 2 / 2
     if not len(state.frontier):
-        return Limits(node_limit, options.noise_significance, tests)
+        return Thresholds(node_limit, options.noise_significance, tests)
     compared = float(compared_pixels(tree, level - 1, state.frontier).sum())
     total_limit = 2 * (_MOST_ERROR * options.tolerance * state.floodlit_rms) ** 2
     limit = min(node_limit, total_limit * tree.domain.size / compared)
-    return Limits(limit, options.noise_significance, tests)
+    return Thresholds(limit, options.noise_significance, tests)
 
 
 def _total(parts: Sequence[dict[str, int]]) -> dict[str, int]:
@@ -276,7 +276,7 @@ def _refine_nodes(
     state: SymmetricState,
     nodes: Frontier,
     images: LevelImages,
-    limits: Limits,
+    limits: Thresholds,
     memory_bytes: int,
 ) -> _Refined:
     """Test nodes of the previous level, and classify the children of those without a leaf."""
@@ -287,12 +287,12 @@ def _refine_nodes(
     pieces = residual_pieces(tree, level, (a, b), state.known, state.channels, images, memory_bytes)
     subdivision = Subdivision.of(tree, level - 1, nodes, parent, pieces)
     outcome = rank_test(tree, level - 1, nodes, subdivision, limits)
-    is_leaf = outcome == Outcome.PASSED_CLEARLY
+    is_leaf = outcome == RankTestResult.PASSED_CLEARLY
     leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, is_leaf))
     kernels.reconcile(*subdivision)
     pair = np.flatnonzero(~is_leaf[parent])
-    is_final = outcome[parent[pair]] == Outcome.PASSED
-    candidates = Candidates(pair, is_final, nodes, parent[pair])
+    is_final = outcome[parent[pair]] == RankTestResult.PASSED
+    candidates = NodeCandidates(pair, is_final, nodes, parent[pair])
     children = classify(tree, level, pieces, candidates, limits)
     counts = {"rank1": len(leaves), "subdivided": len(nodes) - len(leaves)}
     return _Refined(leaves, children, counts, {"nodes": len(pair), **children.counts})

@@ -20,7 +20,7 @@ _DEVIATIONS = 3.0
 _SMALL_SHARE = 1.0 / 16
 
 
-class Outcome(IntEnum):
+class RankTestResult(IntEnum):
     """Result of the rank test of a node.
 
     The error of a rank-1 leaf falls with the sides of both its blocks, so that the children's error
@@ -37,7 +37,7 @@ class Outcome(IntEnum):
 
 
 @dataclass(frozen=True)
-class Limits:
+class Thresholds:
     """Thresholds of the rank test and of light.
 
     Attributes
@@ -86,7 +86,7 @@ class Limits:
 
 
 def rank_test(
-    tree: BlockTree, level: int, nodes: Frontier, subdivision: Subdivision, limits: Limits
+    tree: BlockTree, level: int, nodes: Frontier, subdivision: Subdivision, limits: Thresholds
 ) -> NDArray[np.int8]:
     """Test which nodes of `level` predict the pieces of their children within the limits.
 
@@ -97,19 +97,22 @@ def rank_test(
     Returns
     -------
     ndarray of int8, shape (n,)
-        An `Outcome` for each node.
+        An `RankTestResult` for each node.
     """
     from rfpipe.methods.symmetric import kernels
 
     if tree.splits_views(level):
-        return np.full(len(nodes), Outcome.FAILED, np.int8)
+        return np.full(len(nodes), RankTestResult.FAILED, np.int8)
     ssd, noise, squares = kernels.rank_test(*subdivision)
     samples = compared_pixels(tree, level, nodes)
-    outcome = np.full(len(nodes), Outcome.FAILED, np.int8)
-    for passed, share in ((Outcome.PASSED, 1.0), (Outcome.PASSED_CLEARLY, _SMALL_SHARE)):
+    outcome = np.full(len(nodes), RankTestResult.FAILED, np.int8)
+    for passed, share in (
+        (RankTestResult.PASSED, 1.0),
+        (RankTestResult.PASSED_CLEARLY, _SMALL_SHARE),
+    ):
         allowed = limits.allowed(noise / samples, samples, share)
         outcome[(ssd / samples <= allowed).all(axis=0)] = passed
-    outcome[~_has_evidence(tree, level, nodes, squares)] = Outcome.FAILED
+    outcome[~_has_evidence(tree, level, nodes, squares)] = RankTestResult.FAILED
     return outcome
 
 
