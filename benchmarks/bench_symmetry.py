@@ -14,12 +14,12 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter
 
 import rfpipe
 from benchmarks.harness import errors, given, write
 from benchmarks.localise_errors import recorded
+from rfpipe.array_types import Double
 from rfpipe.calibration.symmetry import (
     measure_symmetry,
     merged_pictures,
@@ -39,10 +39,8 @@ _BRIGHTEST = 1.9  # radiance of the floodlit image, of 2 that the camera takes
 _FLOODLIT = 64
 _LIGHT = CameraModel().electrons_per_radiance
 
-Array = NDArray[np.float64]
 
-
-def matrix_of(scene: str) -> Array:
+def matrix_of(scene: str) -> Double:
     """Return a scene's matrix, (N, N), as bright as the camera takes it."""
     if scene == "wedge":
         made: Any = planes_scene("wedge", ("white", "texture"), (SIDE, SIDE), channels=1, seed=0)
@@ -52,10 +50,10 @@ def matrix_of(scene: str) -> Array:
     return np.asarray(matrix * _BRIGHTEST / matrix.sum(axis=1).max())
 
 
-def beside(pixels: float) -> Callable[[Array], Array]:
+def beside(pixels: float) -> Callable[[Double], Double]:
     """Shift the camera against the projector."""
 
-    def spoil(matrix: Array) -> Array:
+    def spoil(matrix: Double) -> Double:
         images = matrix.reshape(SIDE, SIDE, -1)
         moved = np.concatenate([images[:, :1], images[:, :-1]], axis=1)
         return np.asarray((1 - pixels) * images + pixels * moved).reshape(matrix.shape)
@@ -63,23 +61,23 @@ def beside(pixels: float) -> Callable[[Array], Array]:
     return spoil
 
 
-def vignetted(share: float) -> Callable[[Array], Array]:
+def vignetted(share: float) -> Callable[[Double], Double]:
     """Let the camera lose light from one side to the other."""
     gain = np.broadcast_to(np.linspace(1 - share, 1, SIDE), (SIDE, SIDE)).reshape(-1, 1)
     return lambda matrix: np.asarray(gain * matrix)
 
 
-def blurred(pixels: float) -> Callable[[Array], Array]:
+def blurred(pixels: float) -> Callable[[Double], Double]:
     """Let the camera be out of focus, by a Gaussian's standard deviation."""
 
-    def spoil(matrix: Array) -> Array:
+    def spoil(matrix: Double) -> Double:
         images = matrix.reshape(SIDE, SIDE, -1)
         return np.asarray(gaussian_filter(images, (pixels, pixels, 0))).reshape(matrix.shape)
 
     return spoil
 
 
-RIGS: dict[str, tuple[Callable[[Array], Array], float]] = {
+RIGS: dict[str, tuple[Callable[[Double], Double], float]] = {
     "right": (beside(0), 1.0),
     "right, a sixteenth of the light": (beside(0), 1 / 16),
     "a tenth of a pixel beside": (beside(0.1), 1.0),

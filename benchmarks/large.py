@@ -17,9 +17,9 @@ from typing import Any
 import matplotlib.pyplot as plt
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from benchmarks.harness import existing, given
+from rfpipe.array_types import Float
 from rfpipe.config import Config, load_config
 from rfpipe.relighting import picture_errors, relighting_pictures
 from rfpipe.scenes import Scene, scene_from_config
@@ -35,8 +35,6 @@ SETTINGS = Path("config/large.yaml").absolute()
 TABLES, PICTURE = Path("docs/measured").absolute(), Path("docs/images/large.png").absolute()
 _PICTURES, _SEED = 48, 3000  # other ones than the report's and the verification's
 _AT_A_TIME = 8
-
-Float = NDArray[np.float32]
 
 
 def main(folder: Path) -> None:

@@ -21,6 +21,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 import rfpipe
+from rfpipe.array_types import Double
 from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
 from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.scenes.relighting import relighting_patterns
@@ -35,8 +36,6 @@ _SMALL = 4  # of the pictures are a crease and spots
 _CREASE = 0.02  # of the pixels
 _HALF_LIT = 8  # random pictures to localise errors by
 
-Array = NDArray[np.float64]
-
 
 def recorded(scene: str, side: int) -> MitsubaScene:
     """Return a scene whose light is recorded."""
@@ -46,7 +45,7 @@ def recorded(scene: str, side: int) -> MitsubaScene:
     return MitsubaScene(options)
 
 
-def pictures(matrix: Array, side: int) -> Array:
+def pictures(matrix: Double, side: int) -> Double:
     """Return relighting patterns and a half-lit one, then a crease and three spots, (P, N)."""
     shape = height, width = side, side
     patterns = list(relighting_patterns(shape).values())
@@ -60,7 +59,7 @@ def pictures(matrix: Array, side: int) -> Array:
     return np.stack(patterns).reshape(len(patterns), -1).astype(np.float64)
 
 
-def _crease(matrix: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def _crease(matrix: Double, shape: tuple[int, int]) -> NDArray[np.bool_]:
     """Pixels that exchange most light with their neighbours, (H, W)."""
     height, width = shape
     near, rays = np.zeros(height * width), np.arange(height * width).reshape(shape)
@@ -71,7 +70,7 @@ def _crease(matrix: Array, shape: tuple[int, int]) -> NDArray[np.bool_]:
     return (near >= np.quantile(near, 1 - _CREASE)).reshape(shape)
 
 
-def by_leaf(transport: HierarchicalTransport, matrix: Array) -> list[dict[str, Any]]:
+def by_leaf(transport: HierarchicalTransport, matrix: Double) -> list[dict[str, Any]]:
     """Tell the error of random half-lit pictures apart by kind, level and place of leaves."""
     tree, rays = transport.tree, len(matrix)
     order = tree.order

@@ -8,7 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from figures.common import (
-    Float,
     Items,
     Picture,
     Size,
@@ -21,6 +20,7 @@ from figures.common import (
     size_of,
 )
 from figures.relit import relit
+from rfpipe.array_types import Float
 from rfpipe.report.drawing import Panel, draw
 
 _COARSE = 3e-2  # tolerance of the patterns shown: the noise of a camera of 2006

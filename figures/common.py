@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe import CameraModel, acquire
+from rfpipe.array_types import Float
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
@@ -18,7 +19,6 @@ if TYPE_CHECKING:
     import pandas as pd
     from matplotlib.figure import Figure
 
-Float = NDArray[np.float32]
 TOLERANCE = 1e-3  # of every acquisition where a script says no other
 _SEED = 1
 _FILLED = 0.8  # of the full well, at most, by the floodlit picture

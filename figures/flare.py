@@ -9,7 +9,6 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from figures.common import (
-    Float,
     Items,
     Picture,
     Size,
@@ -23,6 +22,7 @@ from figures.common import (
     size_of,
     white,
 )
+from rfpipe.array_types import Float
 from rfpipe.report.drawing import Panel, difference, draw
 
 _FLARE = 0.03  # of a pixel's light, that the aperture spreads over a star

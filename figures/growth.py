@@ -10,7 +10,6 @@ import pandas as pd
 
 from figures.common import (
     TOLERANCE,
-    Float,
     Items,
     Picture,
     Size,
@@ -23,6 +22,7 @@ from figures.common import (
     white,
 )
 from rfpipe import acquire
+from rfpipe.array_types import Float
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.report.drawing import new_figure
 from rfpipe.rigs import SimulatedRig

@@ -9,14 +9,12 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.provenance import generator
 from rfpipe.scenes.matrix import MatrixScene
 from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene, reference_scene
 from rfpipe.scenes.surfaces import Occluder
-
-Double = NDArray[np.float64]
 
 _SHAPE = (16, 16)
 _SEED = 0

@@ -6,13 +6,11 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from figures.common import Items, Picture, Size, Table, error, exposure, physical, turned
+from rfpipe.array_types import Double
 from rfpipe.report.drawing import Panel, difference, draw
 from rfpipe.scenes import reference_scene
-
-Double = NDArray[np.float64]
 
 _SHAPE = (24, 28)
 _BOUNCES = (1, 2, 3, 4)

@@ -7,7 +7,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from figures.common import Float, Items, Picture, Size, Table, error, percent
+from figures.common import Items, Picture, Size, Table, error, percent
+from rfpipe.array_types import Float
 from rfpipe.report.drawing import Panel, difference, draw
 from rfpipe.store import open_arrays
 

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from figures.common import Float, Items, Picture, Size, Table, error, percent
+from figures.common import Items, Picture, Size, Table, error, percent
 from rfpipe import CameraModel
+from rfpipe.array_types import Float
 from rfpipe.photometry import Merged
 from rfpipe.photometry.demosaic import demosaic, mosaic
 from rfpipe.photometry.normalize import apply, level_gain

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 from figures.common import (
-    Float,
     acquired,
     dual_truth,
     error,
@@ -17,6 +16,7 @@ from figures.common import (
     seen,
     white,
 )
+from rfpipe.array_types import Float
 from rfpipe.report.drawing import Map, Panel, difference
 
 

@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 
 from figures.common import (
-    Float,
     Items,
     Picture,
     Size,
@@ -22,6 +21,7 @@ from figures.common import (
     white,
     with_errors,
 )
+from rfpipe.array_types import Float
 from rfpipe.report.drawing import Panel, difference, draw
 
 _LETTERS = ("EG", "SR")

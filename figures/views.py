@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 
 from figures.common import (
-    Float,
     Items,
     Picture,
     Size,
@@ -19,6 +18,7 @@ from figures.common import (
     size_of,
 )
 from figures.light_field import THESIS, arrays_of_views
+from rfpipe.array_types import Float
 from rfpipe.report.drawing import Panel, difference, draw
 
 _SHARE = 3  # of the figures' side: there are 9 x 9 pairs of views

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.relighting import picture_errors, relighting_pictures
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "Kind", "Stage", "settings_of", "stage_of"]
 
-Float = NDArray[np.float32]
 
 _BRIGHTEST = 1.9
 """Radiance of the brightest pixel of the floodlit image, of 2 that the camera takes."""

@@ -16,12 +16,12 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.photographs.simulated import DOMES, OBJECTS, simulated_dome
+from rfpipe.array_types import Double
 from rfpipe.light_files import lights_in
 from rfpipe.lights.interpolation import angles_between, interpolate, trend, unit
 from rfpipe.lights.shading import fit_shading, shaded
 from rfpipe.pictures.images import read_image
 
-Double = NDArray[np.float64]
 Predict = Callable[[Double, Double, Double], Double]
 """Pictures (D, P) of lights (D, 3), from directions (L, 3) and pictures (L, P)."""
 

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 import rfpipe
 from benchmarks.photographs.runs import run_fit
+from rfpipe.array_types import Bools, Double, Float
 from rfpipe.fitting import Series, read_series
 from rfpipe.fitting.footprints import solve_footprints
 from rfpipe.fitting.held_out import dependent_groups, mean_error, mean_picture
@@ -32,9 +33,6 @@ CODE = "gray:100x100"
 CONFIDENCE = (0, 0.1, 0.3, 0.5, 0.7, 0.85, 0.95, 0.99, 1)
 """Limits of the ranges of confidence in which reliability is measured."""
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Range of the true places within a square of pixels, in rays, up to which the square is judged.
 _VARIES = 1.5
@@ -59,8 +57,8 @@ class Truth:
     """
 
     places: Double
-    judged: Mask
-    lit: Mask
+    judged: Bools
+    lit: Bools
 
     @classmethod
     def read(cls, file: Path, side: int) -> Truth:

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-Double = NDArray[np.float64]
+from rfpipe.array_types import Double
 
 OBJECTS = ("blob", "few", "many", "gloss", "mirror", "cloth", "relief")
 """Kinds of objects."""

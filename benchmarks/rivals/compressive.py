@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
+from rfpipe.array_types import Double, Float
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, Forecast, LevelImages, Options, StateArrays
+from rfpipe.methods.base import MEMORY_BYTES, Forecast, LevelImages, Options, StateArrays
 from rfpipe.methods.brute_force import BruteForce, ScanState
 from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.states import level_row
@@ -27,7 +28,6 @@ from rfpipe.patterns import Schedule
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Double = NDArray[np.float64]
 
 LARGEST_DOMAIN = 64 * 64
 """Rays of the largest camera or projector: the recovery's time grows with the product of pixels,

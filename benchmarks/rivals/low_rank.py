@@ -17,11 +17,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.rivals.signs import as_light, random_signs, trimmed_mean
+from rfpipe.array_types import Double, Float
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     ErrorOptions,
-    Float,
     Forecast,
     LevelImages,
     Method,
@@ -32,8 +32,6 @@ from rfpipe.methods.images import planar_batches, rounding
 from rfpipe.methods.states import MethodState, level_row
 from rfpipe.patterns import Schedule
 from rfpipe.transport.low_rank import LowRankTransport
-
-Double = NDArray[np.float64]
 
 # Products for each term that they determine. With fewer, the errors of the terms outgrow what the
 # weakest of them explain: four were best, or next to it, from 16 to 512 products.

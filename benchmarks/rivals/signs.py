@@ -7,7 +7,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float
 from rfpipe.provenance import generator
 
 __all__ = ["as_light", "random_signs", "trimmed_mean"]

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import check_picture
-
-Float = NDArray[np.float32]
 
 
 class SimulatedProjector:

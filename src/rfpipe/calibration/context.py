@@ -12,16 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError, RfpipeError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.devices import STEPS as WEIGHTS
 from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table, shown_bracket
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-
 
 ProgressBar = Callable[[str, int], AbstractContextManager[Any]]
 """Function of a title and a number of pictures, returns a progress bar as a context manager."""

@@ -9,16 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double, Float
 from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.gray_code import gray_bits, gray_code, gray_number
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
 from rfpipe.rigs.layout import Quadrilateral, apply_homography, homography, pixel_middles
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LEAST_POINTS = 30
 """Smallest number of points to which a map is fitted."""
@@ -194,7 +191,7 @@ class SmoothMap:
         return apply_homography(self.homography, points) + bent
 
 
-def map_of_pixels(correspondence: Findings, inside: Mask) -> SmoothMap:
+def map_of_pixels(correspondence: Findings, inside: Bools) -> SmoothMap:
     """Fit the map from camera to projector to the camera pixels in the mask `inside`."""
     from scipy.ndimage import binary_erosion, binary_fill_holes
 
@@ -208,7 +205,7 @@ def map_of_pixels(correspondence: Findings, inside: Mask) -> SmoothMap:
     return fit_map(camera[inside], projector[inside], inner[inside])
 
 
-def fit_map(camera: Double, projector: Double, trusted: Mask | None = None) -> SmoothMap:
+def fit_map(camera: Double, projector: Double, trusted: Bools | None = None) -> SmoothMap:
     """Fit a smooth map to points; up to half of the points may be outliers.
 
     Parameters
@@ -379,7 +376,7 @@ def _corners(points: Double) -> Double:
     return np.asarray(corners + 0.02 * (corners.mean(axis=0) - corners))  # off the mirror's edge
 
 
-def _inliers(residual: Double, deviations: float = _INLIER) -> Mask:
+def _inliers(residual: Double, deviations: float = _INLIER) -> Bools:
     distance = np.hypot(*residual.T)
     typical = MAD_TO_DEVIATION * float(np.median(distance))
     return np.asarray(distance <= max(deviations * typical, 1e-9))

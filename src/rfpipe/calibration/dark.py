@@ -5,16 +5,13 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double
 from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.defects import MAD_TO_DEVIATION, DarkFrames
 from rfpipe.units import SATURATION_FRACTION
-
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 LONGEST_SECONDS = 60.0
 """Longest exposure of a bracket that is proposed."""
@@ -139,7 +136,7 @@ def bearable_seconds(span: float, rate: float) -> float:
     return min(0.04 * span / max(rate, 1e-9), LONGEST_SECONDS)
 
 
-def _hot(black: Double, spread: Double, usable: Mask, count: int) -> Mask:
+def _hot(black: Double, spread: Double, usable: Bools, count: int) -> Bools:
     """Find photosites outside the range of all their neighbours of the same colour.
 
     This distinguishes hot photosites from light: neighbours share the shape of a glint, whereas a

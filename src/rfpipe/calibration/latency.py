@@ -9,14 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.calibration.context import StepContext, device_errors
 from rfpipe.calibration.steadiness import probe, with_faults
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.errors import CaptureError
 from rfpipe.provenance import generator
 from rfpipe.rigs.devices import Projector
-
-Double = NDArray[np.float64]
 
 CellMeans = Callable[[int, float], Double]
 """``cell_means(weight, wait)`` shows black or white, waits, and returns means of cells, (n,)."""

@@ -7,10 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.defects import MAD_TO_DEVIATION
 from rfpipe.units import SATURATION_FRACTION
-
-Double = NDArray[np.float64]
 
 ORDERS = ("RGGB", "BGGR", "GRBG", "GBRG")
 """Colours of the photosites (0, 0), (0, 1), (1, 0) and (1, 1)."""

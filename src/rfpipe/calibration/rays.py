@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double
 from rfpipe.blocks import RayDomain
 from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.correspondence import (
@@ -27,8 +28,6 @@ from rfpipe.rigs.layout import DARK, ProjectorLayout
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _MIXING = 0.02
 # Share of a camera pixel on other rays at which errors of the map double the pixel's error.
@@ -339,7 +338,7 @@ def _with_outside(shares: csr_array[Any]) -> tuple[csr_array[Any], NDArray[np.in
     return csr_array(hstack([used_shares, outside.tocsr()], format="csr")), outside_of_ray
 
 
-def _patches(shape: tuple[int, ...], visible: Mask, radius: int) -> NDArray[np.int64]:
+def _patches(shape: tuple[int, ...], visible: Bools, radius: int) -> NDArray[np.int64]:
     """Rays in a square around each visible ray, the ray itself first; -1 for no visible ray."""
     index = np.where(visible, np.arange(visible.size), -1).reshape(RayDomain(shape).stack_shape)
     padded = np.pad(index, ((0, 0), (radius, radius), (radius, radius)), constant_values=-1)

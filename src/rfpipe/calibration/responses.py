@@ -8,11 +8,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.errors import CaptureError
-
-Double = NDArray[np.float64]
 
 _LEVELS = (1.0, 0.25, 1 / 16)  # weights of the flat pictures whose exposures are compared
 _SIGNIFICANCE = 4.0  # standard errors beyond which exposures differ in one of many bins

@@ -8,14 +8,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double, Float
 from rfpipe.calibration.dark import LONGEST_SECONDS, bearable_seconds
 from rfpipe.calibration.verdicts import Findings
 from rfpipe.pictures.images import srgb
 from rfpipe.units import SATURATION_FRACTION
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 _TARGET_LEVEL = 0.75  # fraction of full scale of the brightest pixels at the shortest exposure
 _SIGNIFICANCE = 5.0  # standard deviations beyond which light is significant
@@ -60,8 +57,8 @@ class _View(NamedTuple):
     white: Double
     noise: Double
     stripes: Double
-    black_saturated: Mask
-    saturated: Mask
+    black_saturated: Bools
+    saturated: Bools
 
     @property
     def signal(self) -> Double:
@@ -138,7 +135,7 @@ def _view(brackets: Sequence[NDArray[np.uint16]], white_level: int) -> _View:
     counts = np.stack(brackets)
     counts = counts.reshape(*counts.shape[:4], -1)
     frames = counts.mean(axis=-1)
-    full: Mask = np.asarray((counts >= SATURATION_FRACTION * white_level).any(axis=-1))
+    full: Bools = np.asarray((counts >= SATURATION_FRACTION * white_level).any(axis=-1))
     off, on = frames[:_REPEATS], frames[_REPEATS : 2 * _REPEATS]
     return _View(
         off.mean(axis=0),
@@ -150,7 +147,7 @@ def _view(brackets: Sequence[NDArray[np.uint16]], white_level: int) -> _View:
     )
 
 
-def _outline(lit: Mask) -> dict[str, Any]:
+def _outline(lit: Bools) -> dict[str, Any]:
     """Size of the lit area, and the edges of the camera's picture that it crosses."""
     sides = {"upper": lit[0], "lower": lit[-1], "left": lit[:, 0], "right": lit[:, -1]}
     edges = [name for name, side in sides.items() if side.mean() > 0.1]
@@ -162,7 +159,7 @@ def _outline(lit: Mask) -> dict[str, Any]:
 
 
 def _exposure_facts(
-    view: _View, rates: Double, lit: Mask, exposures: Sequence[float], white_level: int
+    view: _View, rates: Double, lit: Bools, exposures: Sequence[float], white_level: int
 ) -> dict[str, Any]:
     """Judge and propose exposures, by light `rates` (H, W) in counts per second."""
     is_small = bool(lit.sum() < _LEAST_PIXELS)
@@ -215,7 +212,7 @@ def _black_line(view: _View, exposures: Sequence[float], white_level: int) -> tu
     return min(float(low) - rate * exposures[0], white_level / 2), rate
 
 
-def scene_image(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -> Double:
+def scene_image(white: NDArray[Any], saturated: Bools, dark: Bools, lit: Bools) -> Double:
     """Render the scene as RGB in [0, 1]: saturated pixels red, dark ones blue, outline yellow.
 
     The brightest 0.5 % of the pixels are white.
@@ -229,7 +226,7 @@ def scene_image(white: NDArray[Any], saturated: Mask, dark: Mask, lit: Mask) -> 
     return picture
 
 
-def _filled(lit: Mask) -> Mask:
+def _filled(lit: Bools) -> Bools:
     """Fill holes of a mask, such as dark lines, and remove single pixels."""
     from scipy.ndimage import binary_closing, binary_fill_holes, binary_opening
 

@@ -11,14 +11,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.calibration.context import StepContext
 from rfpipe.calibration.verdicts import Findings, with_error
 from rfpipe.photometry.resampling import ResampledSensor, Resampling
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.provenance import generator
 from rfpipe.rigs.layout import ProjectorLayout
-
-Double = NDArray[np.float64]
 
 CONFIDENCE = 2.0
 """Standard errors on either side of the estimate within which a verdict is uncertain."""

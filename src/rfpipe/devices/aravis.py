@@ -9,9 +9,7 @@ from __future__ import annotations
 from contextlib import suppress
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rfpipe.array_types import Counts
 from rfpipe.devices.aravis_library import (
     AravisError,
     AravisNodes,
@@ -24,8 +22,6 @@ from rfpipe.devices.aravis_library import (
 )
 from rfpipe.devices.genicam import GenicamCamera, RefusedError, select_camera
 from rfpipe.photometry.camera import CameraModel
-
-Counts = NDArray[np.uint16]
 
 
 class AravisCamera(GenicamCamera):

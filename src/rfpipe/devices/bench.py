@@ -22,6 +22,7 @@ from weakref import finalize
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.array_types import Codes, Counts, Float
 from rfpipe.blocks import RayDomain
 from rfpipe.devices.pylon import PylonCamera
 from rfpipe.devices.window import WindowProjector
@@ -48,10 +49,7 @@ if TYPE_CHECKING:
 
     from rfpipe.config import BenchConfig, RigConfig, SceneSettings
 
-Float = NDArray[np.float32]
 Double = NDArray[np.floating[Any]]
-Codes = NDArray[np.uint8]
-Counts = NDArray[np.uint16]
 
 SAMPLES = 8
 """Samples per camera pixel along each axis."""

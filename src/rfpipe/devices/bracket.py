@@ -10,15 +10,13 @@ from importlib import import_module
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Counts
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError, installing
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing, Offset, PictureExtent
-
-Counts = NDArray[np.uint16]
 
 _log = logging.getLogger(__name__)
 

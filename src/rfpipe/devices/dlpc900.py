@@ -20,12 +20,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Float
 from rfpipe.config.base import Settings
 from rfpipe.devices.bracket import load_library
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.rigs.devices import Closing, check_picture
 
-Float = NDArray[np.float32]
 Device = Literal["DLP6500", "DLP670S"]
 
 VENDOR, PRODUCT = 0x0451, 0xC900

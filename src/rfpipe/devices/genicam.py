@@ -10,14 +10,13 @@ from contextlib import suppress
 from typing import Any, Protocol, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Counts
 from rfpipe.devices.bracket import BracketCamera, FrameOptions
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 
-Counts = NDArray[np.uint16]
 Value: TypeAlias = bool | int | float | str
 """Value of a camera's setting."""
 

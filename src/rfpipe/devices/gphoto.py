@@ -11,9 +11,9 @@ from dataclasses import replace
 from typing import Annotated, Any, ClassVar, Self
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field, model_validator
 
+from rfpipe.array_types import Counts
 from rfpipe.config.base import Text
 from rfpipe.devices.bracket import BracketCamera, FrameOptions
 from rfpipe.devices.gphoto_library import (
@@ -27,8 +27,6 @@ from rfpipe.devices.gphoto_library import (
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.pictures.raw import Raw, read_raw
-
-Counts = NDArray[np.uint16]
 
 RAW_FORMATS = ("RAW", "NEF (Raw)", "Raw", "NEF", "RAW (14bit)", "cRAW")
 """Makers' names of raw files without a JPEG, best first."""

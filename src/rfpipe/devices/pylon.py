@@ -9,13 +9,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Counts
 from rfpipe.devices.bracket import load_library
 from rfpipe.devices.genicam import GenicamCamera, RefusedError, Value, select_camera
 from rfpipe.photometry.camera import CameraModel
-
-Counts = NDArray[np.uint16]
 
 BUFFERS = 10
 """Frame buffers outside sequences."""

@@ -16,13 +16,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Counts
 from rfpipe.config.base import Settings, Text
 from rfpipe.devices.bracket import BracketCamera, load_library
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import PictureExtent
-
-Counts = NDArray[np.uint16]
 
 V4L2_TICKS = 1e4
 """Units of exposure time per second: V4L2 counts 100 microseconds."""

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Codes, Float
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError
 from rfpipe.provenance import fingerprint
@@ -30,9 +31,6 @@ from rfpipe.rigs.devices import (
     check_picture,
     code_table,
 )
-
-Float = NDArray[np.float32]
-Codes = NDArray[np.uint8]
 
 ANSWER_SECONDS = 20.0
 """Timeout for opening a window and for drawing a picture."""

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, StoreError, installing
 from rfpipe.output import OUTPUTS, suffix_of, whole_file
 from rfpipe.pictures.images import srgb
 from rfpipe.transport.relightable import Relightable
-
-Float = NDArray[np.float32]
 
 PATHS = {
     "across": "a vertical bar from left to right",

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.export.movies import relit_pictures
@@ -22,8 +22,6 @@ from rfpipe.transport.normals import Normals
 from rfpipe.transport.regrouping import squares
 from rfpipe.transport.relightable import LIMIT, Relightable
 from rfpipe.weights import picture_weights
-
-Float = NDArray[np.float32]
 
 
 def write_lights(

@@ -5,12 +5,10 @@ from __future__ import annotations
 import re
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Index
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-
-Index = NDArray[np.int64]
 
 
 def rays_at(text: str, shape: tuple[int, ...]) -> Index:

@@ -8,7 +8,7 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
+from rfpipe.array_types import Float
 
 # Bytes of a fit, measured on Gray code: for each camera pixel and picture of a channel, for each
 # camera pixel besides, and for each projector ray and picture.

@@ -19,14 +19,12 @@ from functools import partial
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from rfpipe.array_types import Double, Float
 from rfpipe.errors import InputError
 from rfpipe.fitting.patterns import Patterns
 from rfpipe.gray_code import gray_bits, gray_code
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 
 SYNTAX = (
     "gray:WIDTHxHEIGHT[,complements|plain] or phase:WIDTHxHEIGHT,period=P[+P...],steps=N, both "

@@ -21,13 +21,11 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float, Index
 from rfpipe.errors import InputError
 from rfpipe.fitting.known_sums import BRIGHTEST, LIT, KnownSums, PictureFault
 from rfpipe.fitting.steadiness import unsteady
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
-Order = NDArray[np.int64]
 Exchange = tuple[tuple[int, int], ...]  # pairs of places whose pictures change places
 
 _EXPLAINED = 0.25
@@ -120,8 +118,8 @@ class _Code:
     """
 
     bits: tuple[tuple[int, int], ...]
-    words: Order
-    table: Order
+    words: Index
+    table: Index
     places: Float
 
     @classmethod
@@ -152,7 +150,7 @@ class _Code:
             table[words] = np.arange(len(words))
         return cls(tuple(bits), words, table, places)
 
-    def places_of(self, word: Order) -> Float:
+    def places_of(self, word: Index) -> Float:
         """Return the places (..., 2) of codewords (...), NaN where there is none."""
         if self.table.size:
             return self.places[self.table[word]]
@@ -202,14 +200,14 @@ class _View:
         half = (images.max(axis=0) + images.min(axis=0)) / 2
         return cls(code, images, lit, half)
 
-    def words(self, order: Order) -> Order:
+    def words(self, order: Index) -> Index:
         """Return each pixel's codeword (P, 2, W), were the pictures in an order."""
         word = np.zeros(self.lit.shape, np.int64)
         for index, (first, second) in enumerate(self.code.bits):
             word |= self._bit(order, first, second) << index
         return word
 
-    def exchanged(self, word: Order, order: Order, exchange: Exchange) -> Order:
+    def exchanged(self, word: Index, order: Index, exchange: Exchange) -> Index:
         """Return the codewords after an exchange, computed from those before."""
         changed = {picture for pair in exchange for picture in pair}
         order = _apply(order, exchange)
@@ -218,12 +216,12 @@ class _View:
                 word = word & ~(1 << index) | self._bit(order, first, second) << index
         return word
 
-    def _bit(self, order: Order, first: int, second: int) -> Order:
+    def _bit(self, order: Index, first: int, second: int) -> Index:
         complement = self.half if second < 0 else self.pictures[order[second]]
-        bit: Order = (self.pictures[order[first]] > complement).astype(np.int64)
+        bit: Index = (self.pictures[order[first]] > complement).astype(np.int64)
         return bit
 
-    def jumps(self, word: Order, limit: float = np.inf) -> Float:
+    def jumps(self, word: Index, limit: float = np.inf) -> Float:
         """Return distances in rays between neighbours' places, at most `limit`.
 
         NaN where a pixel isn't lit, infinity (or `limit`) where a codeword doesn't exist.
@@ -238,7 +236,7 @@ class _View:
         return np.concatenate(steps)
 
 
-def _apply(order: Order, exchange: Exchange) -> Order:
+def _apply(order: Index, exchange: Exchange) -> Index:
     """Return an order of pictures in which pairs of them have changed places."""
     changed = order.copy()
     for pair in exchange:
@@ -247,8 +245,8 @@ def _apply(order: Order, exchange: Exchange) -> Order:
 
 
 def _exchanged_by_sums(
-    sums: KnownSums, pictures: Float, view: _View, order: Order, names: Sequence[str]
-) -> tuple[list[PictureFault], Order]:
+    sums: KnownSums, pictures: Float, view: _View, order: Index, names: Sequence[str]
+) -> tuple[list[PictureFault], Index]:
     """Find exchanged pictures by combinations that should vanish, and the order without them."""
     faults: list[PictureFault] = []
     if not sums.null.any():
@@ -315,7 +313,7 @@ def _explaining(null: Double, gram: Double) -> list[tuple[int, int, float]]:
 
 
 def _smoothest(
-    view: _View, order: Order, exchanges: Sequence[Exchange]
+    view: _View, order: Index, exchanges: Sequence[Exchange]
 ) -> tuple[Exchange, list[Exchange]]:
     """Return the exchange after which the decoded map is smoothest, and those as good."""
     if len(exchanges) == 1 or not view.code.bits:
@@ -348,8 +346,8 @@ def _is_smoother(after: Float, before: Float, limit: float) -> bool:
 
 
 def _exchanged_by_code(
-    view: _View, order: Order, names: Sequence[str]
-) -> tuple[list[PictureFault], Order]:
+    view: _View, order: Index, names: Sequence[str]
+) -> tuple[list[PictureFault], Index]:
     """Find exchanged pictures by the decoded map's smoothness, and the order without them."""
     faults: list[PictureFault] = []
     exchanges = view.code.exchanges()
@@ -377,7 +375,7 @@ def _exchanged_by_code(
     return faults, order
 
 
-def _unknown_codes(view: _View, order: Order, rays: int) -> list[PictureFault]:
+def _unknown_codes(view: _View, order: Index, rays: int) -> list[PictureFault]:
     """Find codewords in the pictures that no projector ray has, of many pixels."""
     bits = len(view.code.bits)
     # a code of both axes has at most two bits more than it needs for all rays together
@@ -395,7 +393,7 @@ def _unknown_codes(view: _View, order: Order, rays: int) -> list[PictureFault]:
 
 
 def _exchange_fault(
-    exchanges: Sequence[Exchange], order: Order, names: Sequence[str], reason: str
+    exchanges: Sequence[Exchange], order: Index, names: Sequence[str], reason: str
 ) -> PictureFault:
     """Return the fault of an exchange, or of several that explain the pictures equally well."""
     said = [

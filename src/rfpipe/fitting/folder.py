@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
 from rfpipe.fitting.codes import code_patterns
@@ -24,8 +25,6 @@ from rfpipe.light_files import (
 )
 from rfpipe.pictures import Part, check_sequence, picture_files, read_parts
 from rfpipe.weights import Curve
-
-Float = NDArray[np.float32]
 
 _OTHERS = (".hdr", ".jpeg", ".jpg")
 

@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.series import Float, Series
+from rfpipe.fitting.series import Series
 from rfpipe.fitting.surfaces import expected_boxes, smoothed, surfaces_of
 from rfpipe.methods.footprints.fit import FitLimits, fit_model
 from rfpipe.methods.footprints.model import ChannelModel, transport_arrays

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float, Index
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.series import Float, Series
+from rfpipe.fitting.series import Series
 from rfpipe.provenance import generator
 from rfpipe.relighting import relative_errors
-
-Numbers = NDArray[np.int64]
 
 # Correlation beyond which patterns are alike, or complements of each other.
 _ALIKE = 0.98
@@ -24,7 +23,7 @@ _DETAIL, _FINE, _CONTRAST = 2.0, 0.9, 0.5
 _CHOICES = 8
 
 
-def dependent_groups(patterns: Float) -> Numbers:
+def dependent_groups(patterns: Float) -> Index:
     """Label pictures that predict each other: repeated patterns, and complements.
 
     Parameters
@@ -50,7 +49,7 @@ def dependent_groups(patterns: Float) -> Numbers:
     return np.where(shaped, labels, -1).astype(np.int64)
 
 
-def held_out_pictures(series: Series) -> Numbers:
+def held_out_pictures(series: Series) -> Index:
     """Choose whole groups of dependent pictures to leave out, ascending.
 
     They are an eighth of the groups, at most 16 pictures, or half of fewer than 8 groups. Of
@@ -77,7 +76,7 @@ def held_out_pictures(series: Series) -> Numbers:
     return chosen
 
 
-def _members(labels: Numbers, names: Numbers, count: int, seed: int) -> Numbers:
+def _members(labels: Index, names: Index, count: int, seed: int) -> Index:
     """Return the pictures of some random groups, at most `_MOST` of several groups, ascending."""
     chosen = np.zeros(0, np.int64)
     for name in generator(seed, len(names)).permutation(names)[:count]:
@@ -88,7 +87,7 @@ def _members(labels: Numbers, names: Numbers, count: int, seed: int) -> Numbers:
     return np.sort(chosen)
 
 
-def dependents(series: Series, held_out: Numbers) -> Numbers:
+def dependents(series: Series, held_out: Index) -> Index:
     """Return all pictures in the groups of some, these included, ascending."""
     labels = dependent_groups(series.patterns)
     groups = np.setdiff1d(labels[held_out], [-1])

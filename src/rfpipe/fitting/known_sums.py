@@ -6,10 +6,8 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
+from rfpipe.array_types import Double, Float
 
 LIT = 0.2
 """Share of the brightest pixels' light from which pixels count."""

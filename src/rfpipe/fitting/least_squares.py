@@ -29,11 +29,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.series import Float, Series
+from rfpipe.fitting.series import Series
 from rfpipe.transport.dense import DenseTransport
-
-Double = NDArray[np.float64]
 
 _RIDGES: Double = np.logspace(-10, 2, 25)
 # Eigenvalues below this part of the largest one are rounding.

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.errors import InputError
 from rfpipe.lights.interpolation import (
     KrigingModel,
@@ -17,9 +18,6 @@ from rfpipe.lights.interpolation import (
     light_spacing,
     unit,
 )
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 
 _SAMPLES = 1024
 """Values of each picture that are compared."""

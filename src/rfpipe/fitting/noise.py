@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.fitting.series import Float, Series
+from rfpipe.fitting.series import Series
 
 # Eigenvalues below this part of the largest one are zero; so is noise below this part of the light.
 _ROUNDING = 1e-9

@@ -11,11 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.pictures.files import Part, Picture, read_parts
 from rfpipe.weights import Curve, as_weights, picture_weights
-
-Float = NDArray[np.float32]
 
 _FULL_SCALES = (255, 1023, 4095, 16383, 65535)
 

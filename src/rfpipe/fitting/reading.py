@@ -16,12 +16,13 @@ import numpy as np
 from numpy.typing import NDArray
 from tqdm import tqdm
 
+from rfpipe.array_types import Bools, Float
 from rfpipe.errors import InputError
 from rfpipe.fitting.binning import Bins, bin_image, binned_shape, count_known, proposed_bins
 from rfpipe.fitting.black import black_scale
 from rfpipe.fitting.folder import Listing, default_curve, list_pictures
 from rfpipe.fitting.patterns import light_of, linear_light
-from rfpipe.fitting.series import Float, Series
+from rfpipe.fitting.series import Series
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.pictures import check_raw_mosaic, encoding_note, relative_exposures
 from rfpipe.pictures.files import Header, Part
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
     from rfpipe.photometry import CameraModel
     from rfpipe.photometry.sensor import BracketMerge
 
-Mask = NDArray[np.bool_]
 Bracket = Sequence[Part]
 
 MOST_SATURATED = 0.01
@@ -57,10 +57,10 @@ class PatternLight:
 class Development(Protocol):
     """Way from files to linear light."""
 
-    def saturated(self, brackets: Iterator[Bracket]) -> Mask:
+    def saturated(self, brackets: Iterator[Bracket]) -> Bools:
         """Return the pixels that saturate in any of the pictures, bool (H, W)."""
 
-    def light(self, bracket: Bracket, known: Mask, side: int) -> PatternLight:
+    def light(self, bracket: Bracket, known: Bools, side: int) -> PatternLight:
         """Return the light of one pattern, averaged over the known pixels of squares."""
 
 
@@ -120,7 +120,7 @@ def read_series(
     bins, notes = _bins(listing, header, (camera_bin, projector_bin), memory_gib)
     notes = [*listing.notes, *([note] if note else []), *notes]
     weights = _binned_patterns(listing, bins.projector)
-    lit: Mask = np.asarray(weights.any(axis=(1, 2)))
+    lit: Bools = np.asarray(weights.any(axis=(1, 2)))
     brackets = [listing.brackets[int(index)] for index in np.flatnonzero(lit)]
     unlit = [listing.brackets[int(index)] for index in np.flatnonzero(~lit)]
     development = _development(listing, unlit, camera, curve)
@@ -200,7 +200,7 @@ class SingleExposures:
         black: Any = np.mean(dark, axis=0, dtype=np.float64) if dark else None
         return cls(curve, dict(zip(names, divisors, strict=True)), black)
 
-    def saturated(self, brackets: Iterator[Bracket]) -> Mask:
+    def saturated(self, brackets: Iterator[Bracket]) -> Bools:
         """Return the pixels whose count is about the files' largest number in any picture."""
         highest: Any = 0
         white: float = 1
@@ -211,7 +211,7 @@ class SingleExposures:
                 white = np.inf
         return np.asarray((highest >= np.ceil(SATURATION_FRACTION * white)).any(axis=-1))
 
-    def light(self, bracket: Bracket, known: Mask, side: int) -> PatternLight:
+    def light(self, bracket: Bracket, known: Bools, side: int) -> PatternLight:
         """Return a picture's light over its exposure; its variance is due to rounding."""
         (part,) = bracket
         divisor, picture = self.divisors[str(part)], part.read()
@@ -259,12 +259,12 @@ class MergedBrackets:
             black = np.mean(frames, axis=0, dtype=np.float64)
         return cls(shape, camera.merging(black.astype(np.float32), max(1, len(frames))))
 
-    def saturated(self, brackets: Iterator[Bracket]) -> Mask:
+    def saturated(self, brackets: Iterator[Bracket]) -> Bools:
         """Return the pixels that saturate in all exposures of any bracket."""
         masks = [are_saturated(*self._merged(bracket)).any(axis=-1) for bracket in brackets]
         return np.asarray(np.logical_or.reduce(masks))
 
-    def light(self, bracket: Bracket, known: Mask, side: int) -> PatternLight:
+    def light(self, bracket: Bracket, known: Bools, side: int) -> PatternLight:
         """Return the merged light of a bracket, with its variance."""
         return PatternLight(*(bin_image(image, side, known) for image in self._merged(bracket)))
 
@@ -334,7 +334,7 @@ def _binned_patterns(listing: Listing, side: int) -> Float:
 
 
 def _binned_light(
-    development: Development, brackets: Iterator[Bracket], known: Mask, side: int
+    development: Development, brackets: Iterator[Bracket], known: Bools, side: int
 ) -> tuple[Float, Float]:
     """Return the light of all brackets and its variance, (K, C, M); unknown is infinite."""
     count = count_known(known, side)
@@ -354,7 +354,7 @@ def _saturation_note(share: float, size: int) -> str:
     )
 
 
-def _mask(part: Part, header: Header) -> Mask:
+def _mask(part: Part, header: Header) -> Bools:
     """Return the pixels of a mask, bool (H, W): those above half of its maximum."""
     pixels = part.read().pixels.max(axis=-1)
     if pixels.shape != header.size:

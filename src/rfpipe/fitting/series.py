@@ -9,10 +9,9 @@ from math import prod
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
-
-Float = NDArray[np.float32]
 
 _ARRAYS = ("patterns", "radiance", "variance")
 

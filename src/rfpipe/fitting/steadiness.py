@@ -20,12 +20,9 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.fitting.known_sums import BRIGHTEST, LIT, KnownSums, PictureFault
-
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 
 _BLUR = 1.0  # camera pixels: standard deviation of the filter before derivatives
 _MOVED, _STEADY = 0.1, 5.0  # camera pixels, and standard errors, above which a shift is motion

@@ -27,13 +27,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, unique_keys
 from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.methods.footprints.weights import non_negative_weights
-
-Double = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 
 # Width in rays over which a surface is affine; least and largest window in camera pixels.
 _RAYS, _LEAST, _LARGEST = 6.0, 5, 31
@@ -68,7 +66,7 @@ class Surfaces:
 
     places: Double
     slopes: Double
-    smooth: Mask
+    smooth: Bools
 
 
 def surfaces_of(footprints: Candidates, camera: RayDomain, projector: RayDomain) -> Surfaces:
@@ -186,7 +184,7 @@ def _places(
     return places.reshape(2, *camera.image_shape), light.reshape(camera.image_shape)
 
 
-def _window(places: Double, lit: Mask) -> int:
+def _window(places: Double, lit: Bools) -> int:
     """Return the side of a window that spans `_RAYS` rays, in camera pixels, odd."""
     # over a distance of four pixels, since neighbours may have the very same place
     steps = []

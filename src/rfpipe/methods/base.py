@@ -18,19 +18,17 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Generic, Protocol, Self, TypeVar
 
-import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field, ValidationError
 
 from rfpipe import plugins
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction, MethodSettings
 from rfpipe.config.mistakes import mistake_lines
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
-
-Float = NDArray[np.float32]
 
 TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4)
 """Tolerances for plots of speed against error, as fractions of the floodlit image's maximum."""

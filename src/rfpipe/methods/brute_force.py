@@ -8,9 +8,10 @@ from typing import Self
 
 import numpy as np
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
-from rfpipe.methods.base import MEMORY_BYTES, Float, LevelImages, Method, Options, StateArrays
+from rfpipe.methods.base import MEMORY_BYTES, LevelImages, Method, Options, StateArrays
 from rfpipe.methods.images import batches
 from rfpipe.methods.states import MethodState, level_row
 from rfpipe.patterns import Schedule

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Blocks, Float, Index
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.conflicts import colour_columns
 from rfpipe.methods.base import (
     MEMORY_BYTES,
     TOLERANCES,
-    Float,
     LevelImages,
     Options,
     StateArrays,
@@ -33,9 +33,6 @@ from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.lazy import LazySequence
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import Responses, by_level, fold, looks_symmetric, no_responses
-
-Index = NDArray[np.int64]
-Blocks = NDArray[np.int32]
 
 # Largest sum of the responses stored for one pixel, added up like noise, in tolerances of the
 # floodlit image's root mean square. Their distribution on a block makes up to a tenth of it wrong.

@@ -40,10 +40,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools, Double, Float
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures, relight_white
 from rfpipe.provenance import generator
 from rfpipe.relighting import KINDS, across, reference_light, shapes, spot, typical_indirect
@@ -59,9 +58,6 @@ _SPOTS = 20  # at most, in one pattern
 _MOST_LIT = 0.5
 _SHAPES_LIT = 0.3  # share of the rays that shapes light
 _CANDIDATES = 20  # random places of a spot, of which the one farthest from all other spots is used
-
-Bools = NDArray[np.bool_]
-Double = NDArray[np.float64]
 
 
 @dataclass(frozen=True)

@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import MEMORY_BYTES, Float, Forecast, LevelImages, Options
+from rfpipe.methods.base import MEMORY_BYTES, Forecast, LevelImages, Options
 from rfpipe.methods.brute_force import BruteForce, ScanState, read_columns
 from rfpipe.methods.images import batches
 from rfpipe.methods.states import level_row

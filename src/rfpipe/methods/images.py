@@ -10,7 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float, LevelImages
+from rfpipe.array_types import Float
+from rfpipe.methods.base import LevelImages
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.transport.base import Transport

@@ -26,11 +26,9 @@ import mitsuba as mi
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.mitsuba.beams import Sums, TracedScene, begin, is_specular, passes_straight, survival
 from rfpipe.mitsuba.world import MERGING_RADIUS
-
-Single = NDArray[np.float32]
-Double = NDArray[np.float64]
 
 _MAX_BOUNDARIES = 16  # boundaries that a chain passes without refraction
 _MIN_CHAINS_OF_FOOTPRINT = 8  # to estimate a footprint from their spread
@@ -62,13 +60,13 @@ class ChainEnds(NamedTuple):
         the same mirrors and lenses reach, but at least the width without deflection.
     """
 
-    position: Single
-    normal: Single
-    direction: Single
-    weight: Single
+    position: Float
+    normal: Float
+    direction: Float
+    weight: Float
     pixel: NDArray[np.uint32]
     bounces: NDArray[np.uint32]
-    footprint: Single
+    footprint: Float
 
 
 def trace_chains(rig: TracedScene, samples: int, seed: int) -> ChainEnds:
@@ -114,8 +112,8 @@ def trace_chains(rig: TracedScene, samples: int, seed: int) -> ChainEnds:
 
 
 def _footprints(
-    position: Single, pixel: NDArray[np.uint32], track: NDArray[np.uint32], undeflected: Single
-) -> Single:
+    position: Float, pixel: NDArray[np.uint32], track: NDArray[np.uint32], undeflected: Float
+) -> Float:
     """Shorter side of the area that each pixel's chains by the same surfaces (track) reach.
 
     Points spread evenly over a parallelogram have a variance of ``side^2 / 12``.
@@ -213,7 +211,7 @@ class Ends:
 
 
 def _cells(
-    ends: ChainEnds, radius: Single, level: NDArray[np.int64], width: Double
+    ends: ChainEnds, radius: Float, level: NDArray[np.int64], width: Double
 ) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
     """Return the hash of each cell that an end's disc intersects, and the index of the end."""
     position = ends.position.astype(np.float64)

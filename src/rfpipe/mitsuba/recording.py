@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from rfpipe.array_types import Double
 from rfpipe.errors import InputError, IntegrityError, LockedError, StoreError
 from rfpipe.mitsuba.variant import variant_versions
 from rfpipe.mitsuba.views import Side
@@ -28,8 +29,6 @@ from rfpipe.steps import step, steps
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import read_manifest, write_manifest
-
-Double = NDArray[np.float64]
 
 _DENSE_BYTES = 192 * 2**20  # of sums traced at a time
 _PIECE_BYTES = 192 * 2**20  # of entries, before compression

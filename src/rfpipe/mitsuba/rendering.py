@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.mitsuba.variant import load_mitsuba
 from rfpipe.mitsuba.views import Side
 from rfpipe.scenes.pinholes import Pinhole
-
-Double = NDArray[np.float64]
 
 
 def brightness(scene: Any, projector: Side) -> float:

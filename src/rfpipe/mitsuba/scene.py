@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydantic import Field, model_validator
 
+from rfpipe.array_types import Double
 from rfpipe.config.base import Extent
 from rfpipe.config.scenes import Choice, SceneSettings
 from rfpipe.errors import InputError
@@ -31,8 +32,6 @@ from rfpipe.mitsuba.world import TracingOptions, World, load_scene, world_of_fil
 from rfpipe.mitsuba.worlds import WORLDS
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-
-Double = NDArray[np.float64]
 
 _SET, _DECLARED = "set", "declared with the scene"
 

@@ -7,8 +7,8 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.mitsuba.beams import Pinholes, Sums, TracedScene
 from rfpipe.mitsuba.caustics import Ends, trace_chains, trace_particles
 from rfpipe.mitsuba.materials import shape_materials
@@ -16,8 +16,6 @@ from rfpipe.mitsuba.paths import trace_paths, trace_volumes
 from rfpipe.mitsuba.views import Side
 from rfpipe.mitsuba.world import TracingOptions
 from rfpipe.provenance import generator
-
-Double = NDArray[np.float64]
 
 _LANES = 2**20  # paths traced at a time
 _CHAINS = 2**18  # specular chains from all camera pixels

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Counts, Float
 from rfpipe.errors import InputError
 from rfpipe.photometry.demosaic import check_mosaic, demosaic, mosaic
 from rfpipe.photometry.sensor import (
@@ -27,8 +28,6 @@ from rfpipe.units import COUNTS, RADIANCE, SATURATION_FRACTION
 if TYPE_CHECKING:
     from rfpipe.config import CameraConfig
 
-Float = NDArray[np.float32]
-Counts = NDArray[np.uint16]
 
 _EXACT_POISSON_BELOW = 64.0
 # Mean electrons below which shot noise is drawn from the Poisson distribution; from there on it

@@ -9,10 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Sensor
-
-Mask = NDArray[np.bool_]
 
 SIGNIFICANCE = 5.0
 """Standard deviations, beyond what the largest of as many good pixels reaches."""
@@ -33,7 +32,7 @@ class DefectMap:
         Numbers of pixels with an outlying black level or noise, and of others with constant counts.
     """
 
-    mask: Mask
+    mask: Bools
     hot: int
     dead: int
 
@@ -110,7 +109,7 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     if not has_channels:
         hot, dead = hot[..., None], dead[..., None]
     hot_pixels, dead_pixels = hot.any(axis=-1), dead.any(axis=-1)
-    mask: Mask = np.asarray(hot_pixels | dead_pixels)
+    mask: Bools = np.asarray(hot_pixels | dead_pixels)
     if not has_channels:
         from scipy.ndimage import binary_dilation
 
@@ -119,7 +118,7 @@ def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor
     return DefectMap(mask, int(hot_pixels.sum()), int((dead_pixels & ~hot_pixels).sum()))
 
 
-def find_hot(dark: DarkFrames) -> Mask:
+def find_hot(dark: DarkFrames) -> Bools:
     """Find the photosites with an outlying black level or noise: bool, shape of a frame."""
     # the mean of dark frames has at least the uncertainty of their rounding
     floor = float(1 / np.sqrt(12)) / np.sqrt(dark.count)
@@ -135,12 +134,12 @@ def find_hot(dark: DarkFrames) -> Mask:
     return hot
 
 
-def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Mask:
+def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Bools:
     """Find photosites with constant counts in all frames, unless this is possible by chance."""
-    constant: Mask = (dark.smallest == dark.largest) & (floodlit_frames == dark.smallest)
+    constant: Bools = (dark.smallest == dark.largest) & (floodlit_frames == dark.smallest)
     # a black level at 0 counts clips the noise
     constant &= ~((dark.smallest == 0) & (np.median(dark.smallest) == 0))
-    stuck: Mask = np.asarray(constant.all(axis=0))
+    stuck: Bools = np.asarray(constant.all(axis=0))
     if dark.count < 2:
         return np.zeros_like(stuck)
     chance = log(constant[0].size)
@@ -158,7 +157,7 @@ def _threshold(size: int) -> float:
     return SIGNIFICANCE + float(np.sqrt(2 * np.log(max(size, 2))))
 
 
-def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
+def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Bools:
     """Find pixels whose variance, with `freedom` degrees of freedom, is an outlier.
 
     The cube root of a chi-squared variable is close to Gaussian (Wilson and Hilferty 1931).
@@ -167,7 +166,7 @@ def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Mask:
     # the mean of a chi-squared variable from its median
     typical = max(float(np.median(variance)) / (1 - spread) ** 3, floor**2)
     score = (np.cbrt(variance / typical) - (1 - spread)) / np.sqrt(spread)
-    outlying: Mask = score > _threshold(variance.size)
+    outlying: Bools = score > _threshold(variance.size)
     return outlying
 
 

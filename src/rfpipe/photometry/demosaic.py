@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.units import RADIANCE
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Float = NDArray[np.float32]
 
 # Bilinear weights for red, green and blue, of the photosite itself, its direct and its diagonal
 # neighbours, if they have the colour.

@@ -22,8 +22,6 @@ if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
 
-Float = NDArray[np.float32]
-
 LEAST_WEIGHT = 0.1
 """Smallest weight of a ray's pixels without defects, of 1, with which the ray is still visible."""
 

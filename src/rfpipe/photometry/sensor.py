@@ -9,10 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import CaptureError
 from rfpipe.units import RADIANCE, picture_name
-
-Float = NDArray[np.float32]
 
 _NEGATIVE_TOLERANCE = 1e-3
 # Negative light up to this fraction of the image's maximum is attributed to rounding in a

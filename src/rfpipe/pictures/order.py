@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Float = NDArray[np.float32]
+from rfpipe.array_types import Float
 
 TURNS: dict[str, Callable[[NDArray[Any]], NDArray[Any]]] = {
     "": lambda picture: picture,

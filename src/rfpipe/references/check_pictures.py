@@ -11,13 +11,12 @@ from contextlib import suppress
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.storage.base import CHECK_PICTURES, Storage
-
-Double = NDArray[np.float64]
 
 
 def check_picture_count(patterns: int, interval: int) -> int:

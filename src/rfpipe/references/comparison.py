@@ -29,11 +29,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.rigs.faults import SIGNIFICANCE
-
-Double = NDArray[np.float64]
 
 _NOISE_UNCERTAINTY = 0.1
 """Relative uncertainty of the predicted squared noise."""

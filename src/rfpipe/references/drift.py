@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.references.check_pictures import check_positions, first_check_picture
 from rfpipe.references.comparison import Difference, compare_pictures
 from rfpipe.references.reference_images import ReferenceImages
@@ -25,8 +25,6 @@ from rfpipe.rigs.faults import (
     room_fault,
 )
 from rfpipe.storage.base import CHECK_PICTURES, Storage, level_name
-
-Double = NDArray[np.float64]
 
 _log = logging.getLogger(__name__)
 

@@ -5,11 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.sensor import Merged
-
-Double = NDArray[np.float64]
 
 
 @dataclass(eq=False)

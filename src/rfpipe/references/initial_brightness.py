@@ -22,15 +22,13 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.references.steadiness import is_smooth
 from rfpipe.rigs.faults import SIGNIFICANCE
 from rfpipe.storage.base import LAMP, REFERENCE_BRACKETS, SYMMETRY, Storage
-
-Double = NDArray[np.float64]
 
 _LAST_BRACKETS = 8
 """Number of all-on brackets whose mean is the brightness at their end."""

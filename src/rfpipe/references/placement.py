@@ -23,7 +23,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-Double = NDArray[np.float64]
+from rfpipe.array_types import Double
 
 _MAX_SHIFT = 3
 """Largest shift that is tried, in rays along each axis."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.defects import (
@@ -31,7 +32,6 @@ from rfpipe.references.image_sum import ImageSum
 from rfpipe.storage.base import REFERENCE_BRACKETS, REFERENCE_IMAGES, Storage
 
 Frames = NDArray[Any]
-Float = NDArray[np.float32]
 
 _MAX_SATURATED = 0.01
 """Share of the floodlit image that may be saturated at every exposure: highlights, no surfaces."""

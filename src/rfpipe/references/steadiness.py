@@ -25,6 +25,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import Sensor
@@ -43,8 +44,6 @@ from rfpipe.rigs.flicker import exposure_ratios, flicker_of, gain_or_flicker
 from rfpipe.rigs.late import is_of_previous, is_out_of_order
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
-
-Double = NDArray[np.float64]
 
 _MAX_PIXELS, _MAX_SAMPLES = 20_000, 2_000_000
 """Samples read from a frame, and from all frames together."""

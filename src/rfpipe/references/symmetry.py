@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.calibration.symmetry import (
     CONFIDENCE,
     SignPictures,
@@ -28,7 +29,6 @@ from rfpipe.storage.base import SYMMETRY, Storage
 if TYPE_CHECKING:
     from rfpipe.methods import Method, MethodDescription, Options
 
-Double = NDArray[np.float64]
 
 _LOGGED = 0.2
 """Share of the accepted error from which the error is logged. Symmetric photography has 1.5 times

@@ -8,12 +8,12 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.units import picture_name
 from rfpipe.weights import as_weights
 
-Float = NDArray[np.float32]
 Key = tuple[int, ...]
 
 

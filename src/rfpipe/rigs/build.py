@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe import plugins
+from rfpipe.array_types import Float
 from rfpipe.errors import ConfigError, InputError
 from rfpipe.photometry.camera import sensor_from_config
 from rfpipe.rigs.base import Key, Rig, check_patterns
@@ -32,8 +33,6 @@ from rfpipe.units import picture_name
 if TYPE_CHECKING:
     from rfpipe.config import RigConfig
     from rfpipe.photometry.resampling import Resampling
-
-Float = NDArray[np.float32]
 
 
 class DeviceRig(Closing):

@@ -26,11 +26,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.flicker import exposure_ratios
 from rfpipe.units import SATURATION_FRACTION
-
-Double = NDArray[np.float64]
 
 BLACK, PATTERN, COMPLEMENT, WHITE = range(4)
 """Patterns of check pictures: all-off, a pattern, its complement, all-on."""

@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from rfpipe.array_types import Codes, Float
 from rfpipe.errors import CaptureError, InputError
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import check_weights
-
-Float = NDArray[np.float32]
-Codes = NDArray[np.uint8]
 
 Offset = Annotated[int, Field(ge=0, le=32768)]
 PictureExtent = Annotated[int, Field(ge=1, le=32768)]

@@ -28,8 +28,8 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.rigs.check_pictures import (
     BLACK,
     CheckPicture,
@@ -51,8 +51,6 @@ from rfpipe.rigs.faults import (
 )
 from rfpipe.rigs.flicker import flicker_of, gain_or_flicker
 from rfpipe.rigs.late import is_of_previous
-
-Double = NDArray[np.float64]
 
 
 def diagnose(

@@ -26,9 +26,8 @@ from collections.abc import Callable, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.rigs.faults import Fault, flicker_fault, gain_fault, is_whole_period, unsteady_fault
-
-Double = NDArray[np.float64]
 
 _LEAST_PIXELS = 50
 _HEADROOM = 0.8  # counts over saturation: a brighter bracket does not saturate either

@@ -24,7 +24,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Double = NDArray[np.float64]
+from rfpipe.array_types import Double
 
 _CLOSER = 0.5
 

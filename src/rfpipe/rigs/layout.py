@@ -10,12 +10,11 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Float
 from rfpipe.blocks import RayDomain, ray_shape
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 
-Float = NDArray[np.float32]
-Double = NDArray[np.float64]
 Quadrilateral = Sequence[tuple[float, float]]
 """(x, y) of the upper left, upper right, lower right and lower left corner of a view's rays, in
 pixels from the picture's upper left corner: the first pixel's centre is at (0.5, 0.5)."""

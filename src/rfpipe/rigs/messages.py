@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import from_json
 
+from rfpipe.array_types import Float
 from rfpipe.errors import ConfigError, TransferError
 from rfpipe.rigs.base import check_patterns
 
@@ -37,7 +38,6 @@ _ADVICE = (
     "> rig.token), and give it by --token-file, or in a run's settings by capture.token_file"
 )
 
-Float = NDArray[np.float32]
 
 _FACTS = "facts.json"
 _MOST_MEMBERS = 4096

@@ -21,11 +21,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.photometry.camera import CameraModel
-
-Double = NDArray[np.float64]
 
 UNSURE = 4.0
 """Factor on the variance, since settings may not be measured yet: it covers a full well that is

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError, PicturesNeeded
 from rfpipe.output import storage_errors
@@ -36,7 +37,6 @@ if TYPE_CHECKING:
     from rfpipe.config import CameraConfig, OfflineConfig
     from rfpipe.photometry.resampling import Resampling
 
-Float = NDArray[np.float32]
 
 MANIFEST = "patterns.json"
 """Manifest in the folder of a sheet."""

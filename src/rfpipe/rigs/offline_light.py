@@ -32,8 +32,6 @@ from rfpipe.rigs.noise import CountNoise
 from rfpipe.rigs.offline import SheetPicture
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY
 
-Double = NDArray[np.float64]
-
 _KINDS = {BLACK_LEVEL_KEY: BLACK, FLOODLIT_KEY: WHITE}
 
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.camera import CameraModel
@@ -24,7 +25,6 @@ from rfpipe.rigs.offline_light import light_faults
 from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, SATURATION_FRACTION, picture_name
 
 PictureFile = tuple[Header, Path]
-Float = NDArray[np.float32]
 
 EXPOSURE_ERROR = 0.1
 """Accepted relative error of an exposure time: cameras round 1/64 s to 1/60."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.config.addresses import check_server
 from rfpipe.errors import CaptureError, InputError, TransferError
 from rfpipe.photometry import Sensor, sensor_from_description
@@ -32,7 +33,6 @@ from rfpipe.rigs.messages import (
 if TYPE_CHECKING:
     import httpx
 
-Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 

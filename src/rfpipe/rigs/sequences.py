@@ -19,13 +19,13 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.base import Key
 from rfpipe.rigs.devices import check_frame_shape
 from rfpipe.rigs.stale import ExposureNoise, is_small
 from rfpipe.units import SATURATION_FRACTION, SEQUENCE_KEY
 
-Float = NDArray[np.float32]
 OneByOne = Callable[[Float, Sequence[Key]], NDArray[Any]]
 
 MARKER = (0, 1, 1, 0)

@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.rigs.check_pictures import thinned
@@ -27,8 +28,6 @@ from rfpipe.rigs.faults import AUTOMATIC_OFF, GAIN_CHANGES, SIGNIFICANCE, WHOLE_
 from rfpipe.rigs.late import is_out_of_order
 from rfpipe.rigs.noise import CountNoise
 from rfpipe.units import SATURATION_FRACTION
-
-Float = NDArray[np.float32]
 
 RETAKE_SECONDS = 0.5
 """Pause before a doubtful bracket is repeated, longer than the delay of any display."""

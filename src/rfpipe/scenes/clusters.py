@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from rfpipe.array_types import Double, Index
 from rfpipe.scenes.formfactors import FacingPair
 from rfpipe.scenes.surfaces import OCCLUDED, VISIBLE, Obstruction, Sphere
 
-Double = NDArray[np.float64]
-Index = NDArray[np.int64]
 Test = Callable[..., NDArray[np.int8]]  # visibility between clusters of two trees
 Entries = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.int32]]
 Members = tuple[Index, NDArray[np.bool_]]

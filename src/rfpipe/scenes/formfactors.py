@@ -14,13 +14,10 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from rfpipe.array_types import Double, Index
 from rfpipe.scenes.pinholes import Points
 from rfpipe.scenes.surfaces import Obstruction, Occluder, Surface
-
-Double = NDArray[np.float64]
-Index = NDArray[np.int64]
 
 _STRIP_ENTRIES = 2**18  # entries of G computed at a time
 _TOUCHING = 1e-12  # rounding error of heights, relative to the distance from the camera

@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.errors import InputError
 from rfpipe.scenes.geometries import surface_albedo
 from rfpipe.scenes.pinholes import Pinhole, Points, first_hits, overlapped_cells
@@ -28,7 +29,6 @@ from rfpipe.scenes.surfaces import Rectangle, Vector, block, horizontal, rotatio
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Double = NDArray[np.float64]
 
 DISTANCE = 3.0
 """Distance from the array's plane to the point at which all views look."""

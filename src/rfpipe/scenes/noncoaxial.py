@@ -32,6 +32,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.errors import InputError
 from rfpipe.scenes.pinholes import (
     Hits,
@@ -47,7 +48,6 @@ from rfpipe.scenes.surfaces import Obstruction, Occluder, Surface, is_occluded
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Double = NDArray[np.float64]
 Albedo = Callable[[Double, NDArray[np.int64]], Double]
 
 _PARTS = 4  # parts of a pixel along each axis

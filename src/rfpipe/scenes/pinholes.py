@@ -13,10 +13,9 @@ from itertools import combinations
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.errors import InputError
 from rfpipe.scenes.surfaces import Plane, Sphere, Surface, Vector
-
-Double = NDArray[np.float64]
 
 _PARALLEL = 1e-6  # smallest 1 - cos(opening) of planes that form an edge
 

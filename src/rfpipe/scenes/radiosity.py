@@ -20,10 +20,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from rfpipe.array_types import Double, Index
 from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
-from rfpipe.scenes.formfactors import Index, facing_pairs
+from rfpipe.scenes.formfactors import facing_pairs
 from rfpipe.scenes.pinholes import Points
 from rfpipe.scenes.surfaces import Occluder
 
@@ -32,7 +33,6 @@ if TYPE_CHECKING:
 
     from rfpipe.scenes.clusters import Compressed
 
-Double = NDArray[np.float64]
 
 DENSE_LIMIT = 2**25
 """Largest number of entries (unordered pairs of points) of a dense G: 256 MB of float64."""

@@ -19,7 +19,8 @@ from typing import TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-Double = NDArray[np.float64]
+from rfpipe.array_types import Double
+
 Vector = tuple[float, float, float]
 
 # Fractions of a segment at its ends that can't be blocked, and relative depth below a sphere's

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.methods import Method
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
@@ -21,8 +22,6 @@ from rfpipe.stages.context import Acquisition
 from rfpipe.stages.merge import read_level_sum
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.storage.base import REFERENCE_IMAGES, SUMS, Storage
-
-Float = NDArray[np.float32]
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
@@ -30,7 +31,6 @@ if TYPE_CHECKING:
 NO_LEAF = -1
 """Level of an entry of T that is in no leaf, because it was measured as empty."""
 
-Float = NDArray[np.float32]
 
 _SINGLE_BATCH = 32
 """Number of single-pixel patterns relit together."""

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import VerificationError
 from rfpipe.jobs.targets import misses
 from rfpipe.patterns import Schedule
@@ -50,7 +51,6 @@ _SEED = 15
 _MAX_SATURATED = 0.01
 """Share of saturated samples above which a missed target is attributed to saturation."""
 
-Float = NDArray[np.float32]
 
 _log = logging.getLogger(__name__)
 

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Double
 from rfpipe.errors import CaptureError, IntegrityError, StoreError
 from rfpipe.photometry.sensor import Merged
 from rfpipe.references.check_pictures import (
@@ -31,8 +32,6 @@ from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, moved_fault, room_f
 from rfpipe.stages.brackets import BracketSet, Keys, open_recording, take_brackets
 from rfpipe.storage.base import CHECK_PICTURES, Frames, Storage, level_name
 from rfpipe.units import CHECK_PICTURE_KEY
-
-Double = NDArray[np.float64]
 
 _MAX_STEP = 0.01
 """Relative change of brightness from one check picture to the next above which it is repeated."""

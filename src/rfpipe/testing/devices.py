@@ -10,13 +10,12 @@ import numpy as np
 from numpy.testing import assert_array_equal, assert_equal
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import Camera, Projector
 from rfpipe.testing.checks import opened, require, require_closing, require_raises
-
-Float = NDArray[np.float32]
 
 
 class ProjectorContract:

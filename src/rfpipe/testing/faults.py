@@ -23,13 +23,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs.devices import Camera, Projector
 from rfpipe.units import SATURATION_FRACTION
 
-Float = NDArray[np.float32]
 Frames = NDArray[Any]
 
 READOUT_SECONDS = 0.02

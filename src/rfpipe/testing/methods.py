@@ -16,6 +16,7 @@ import numpy as np
 from numpy.testing import assert_array_equal, assert_equal
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.methods import MethodDescription, StateArrays, options_of
@@ -24,8 +25,6 @@ from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.testing.checks import dot_test, require, require_close, require_raises
 from rfpipe.transport import Transport, open_transport, save_transport
-
-Float = NDArray[np.float32]
 
 _COAXIAL = (6, 7), (6, 7)
 _ANY = (3, 4), (5, 6)

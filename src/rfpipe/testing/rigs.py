@@ -9,6 +9,7 @@ import numpy as np
 from numpy.testing import assert_array_equal, assert_equal
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import ray_shape
 from rfpipe.errors import InputError
 from rfpipe.provenance import generator
@@ -16,8 +17,6 @@ from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch, sequence_patterns
 from rfpipe.testing.checks import opened, require, require_equal_descriptions, require_raises
 from rfpipe.units import BLACK_LEVEL_KEY
-
-Float = NDArray[np.float32]
 
 
 class RigContract:

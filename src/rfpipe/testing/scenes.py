@@ -8,12 +8,11 @@ import numpy as np
 from numpy.testing import assert_array_equal
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.scenes.base import Scene
 from rfpipe.testing.checks import require, require_close, require_equal_descriptions
-
-Float = NDArray[np.float32]
 
 
 class SceneContract:

@@ -5,15 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, Self
 
-import numpy as np
-from numpy.typing import NDArray
-
+from rfpipe.array_types import Bools
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells
 from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
-
-Bools = NDArray[np.bool_]
 
 
 class AdaptiveModel(Protocol):

@@ -39,8 +39,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures, beyond_noise
 from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.methods.near_far.model import SmoothModel

@@ -33,8 +33,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.base import Float
 from rfpipe.methods.images import Pictures, relight_white
 from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport

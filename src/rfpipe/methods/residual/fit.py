@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float
 from rfpipe.methods.images import relight_white
 from rfpipe.methods.residual.model import CameraCells, CellPictures, ProjectorCells, Residual
 from rfpipe.methods.residual.posterior import (

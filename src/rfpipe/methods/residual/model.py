@@ -32,7 +32,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float, LevelImages
+from rfpipe.array_types import Float
+from rfpipe.methods.base import LevelImages
 from rfpipe.methods.images import Pictures, planar_batches
 from rfpipe.methods.states import joined
 from rfpipe.transport.base import Transport

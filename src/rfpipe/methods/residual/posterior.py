@@ -46,7 +46,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.methods.base import Float
+from rfpipe.array_types import Float
 from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.transport.wavelet import Group, Haar
 

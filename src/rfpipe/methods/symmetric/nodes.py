@@ -6,13 +6,10 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.array_types import Bools, Double, Float, Index
+from rfpipe.array_types import Blocks, Bools, Double, Float, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.transport.hierarchical.leaves import LeafSet, factor_offsets, ragged_ranges
-
-Blocks = NDArray[np.int32]
 
 # Nodes that are subdivided at a time: a node takes a kilobyte, its children some dozens of bytes.
 _NODES_PER_BATCH = 2**15

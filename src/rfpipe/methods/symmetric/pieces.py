@@ -11,11 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpipe.array_types import Double, Float, Index
+from rfpipe.array_types import Blocks, Double, Float, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.symmetric.nodes import (
-    Blocks,
     Frontier,
     LevelBlocks,
     Nodes,
