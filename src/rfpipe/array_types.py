@@ -16,3 +16,6 @@ Counts = NDArray[np.uint16]
 
 Codes = NDArray[np.uint8]
 """Codes of a projector's frame buffer."""
+
+Functions = NDArray[np.int32]
+"""Numbers of basis functions of a `rfpipe.transport.multiscale` transport."""

@@ -49,7 +49,6 @@ if TYPE_CHECKING:
 
     from rfpipe.config import BenchConfig, RigConfig, SceneSettings
 
-Double = NDArray[np.floating[Any]]
 
 SAMPLES = 8
 """Samples per camera pixel along each axis."""
@@ -122,7 +121,7 @@ class OpticalPath:
         picture: Float = self._sampling @ points
         return picture.reshape(*self.camera_shape, self.channels) + self._ambient
 
-    def projector_points(self, camera_points: ArrayLike) -> Double:
+    def projector_points(self, camera_points: ArrayLike) -> NDArray[np.floating[Any]]:
         """Map camera points (..., 2) to the projector points that illuminate the same scene points.
 
         Both are (x, y) from the picture's corner, as in `Quadrilateral`; NaN outside all rays.

@@ -16,14 +16,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import Float, Functions
 from rfpipe.blocks import RayDomain
 from rfpipe.transport.function_pairs import FunctionPairTransport
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-Functions = NDArray[np.int32]
 
 REACH = 2
 """Largest distance of a pair of functions, in spacings of the coarser one."""

@@ -9,11 +9,8 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
-
-Functions = NDArray[np.int32]
+from rfpipe.array_types import Float, Functions
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
