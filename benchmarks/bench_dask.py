@@ -26,8 +26,8 @@ import psutil
 from rfpipe.jobs.workers import Resources
 from rfpipe.stages import merge
 from rfpipe.stages.context import CaptureContext
-from rfpipe.storage.files import AcquisitionFolder
-from rfpipe.store import FrameStore, read_manifest
+from rfpipe.storage.files import FolderStorage
+from rfpipe.store import PictureStore, read_manifest
 
 OUTPUT = Path("results/bench")
 PIECES = 100
@@ -40,9 +40,9 @@ def nothing(first: int, _last: int) -> int:
     return first
 
 
-def merged_anew(folder: AcquisitionFolder, level: int, resources: Resources) -> None:
+def merged_anew(folder: FolderStorage, level: int, resources: Resources) -> None:
     """Merge a level's brackets."""
-    FrameStore.discard(folder.store(level, "merge"))
+    PictureStore.discard(folder.store(level, "merge"))
     merge.run(CaptureContext(folder, resources=resources), level)
 
 
@@ -63,7 +63,7 @@ def uses(source: Path, place: Path) -> Iterator[tuple[str, Use]]:
         shutil.copytree(source / part, place / part, ignore=ignored)
     for file in source.glob("*.json"):
         shutil.copy(file, place)
-    folder = AcquisitionFolder(place)
+    folder = FolderStorage(place)
     yield "overhead", partial(idle, place)
     yield (
         f"merge, {manifest['levels'][level]['patterns']} patterns",

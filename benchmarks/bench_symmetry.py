@@ -114,7 +114,7 @@ def rows() -> Iterator[dict[str, Any]]:
                 for count in FRAMES
             }
             result = rfpipe.acquire(
-                rig, "symmetric", tolerance=3e-3, symmetry_frames=0, progress=False
+                rig, "symmetric", tolerance=3e-3, symmetry_brackets=0, progress=False
             )
             truth = lit.reshape(len(lit), -1) @ matrix.T
             images = result.transport.relight_batch(lit).reshape(truth.shape)

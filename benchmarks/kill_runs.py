@@ -28,7 +28,7 @@ TARGET = "results/tiny/dual/transport.json"
 SETTINGS = {
     "scenes": {"tiny": {"kind": "wedge", "surfaces": ["white", "texture"], "shape": [5, 8]}},
     "methods": {"dual": {"tolerance": 1e-2}},
-    "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
+    "capture": {"batch_patterns": 1, "all_off_brackets": 4, "all_on_brackets": 4},
 }
 MODES = ("stage", "acquisition")
 

@@ -26,7 +26,7 @@ from rfpipe.scenes import Scene, scene_from_config
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.settings import plan_settings
 from rfpipe.stages.verification import verify
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import open_arrays
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import estimates
@@ -80,7 +80,7 @@ def curve(
 ) -> Iterator[dict[str, Any]]:
     """Yield patterns, estimated and true errors of an acquisition after each of its levels."""
     patterns, truth, floodlit = test
-    folder = AcquisitionFolder(Path("results") / name / method)
+    folder = FolderStorage(Path("results") / name / method)
     plan = Plan.of(**plan_settings(config, name, method))
     plan = plan.for_measured_rig(folder)
     dark = patterns == 0 if config.scenes[name].is_coaxial else None

@@ -58,7 +58,7 @@ class Series:
             "scenes": {"desk": {"kind": "captured", "shape": [side, side], "channels": 1}},
             "methods": {"near_far": {}},
             "camera": camera,
-            "capture": {"rig": "offline", "black_frames": 4, "floodlit_frames": 4},
+            "capture": {"rig": "offline", "all_off_brackets": 4, "all_on_brackets": 4},
             "offline": {"projector_shape": [3 * side, 3 * side]},
         }
         folder.mkdir(parents=True, exist_ok=True)

@@ -6,6 +6,7 @@ from typing import Literal
 import numpy as np
 
 NumberFormat = Literal["float32", "uint16", "uint8"]
+NormalizationMode = Literal["none", "per_channel", "total_energy"]
 """Type of the numbers in a stored transport: float32, or rounded to 16 or 8 bits."""
 
 RADIANCE = np.float32
@@ -23,7 +24,7 @@ COUNT_UNIT = "count"
 SATURATION_FRACTION = 0.98
 """Fraction of full scale from which on a count is saturated, unless a setting says otherwise."""
 
-SYMMETRY_FRAMES = 6  # results of 4 patterns differ by up to 20 %, of 8 patterns by up to 10 %
+SYMMETRY_BRACKETS = 6  # results of 4 patterns differ by up to 20 %, of 8 patterns by up to 10 %
 """Number of random patterns of the symmetry test."""
 
 # A bracket's key is (level, index) for a pattern of a level, and (one of the following numbers,

@@ -100,7 +100,7 @@ def test_the_files_state_target_error_and_reason(
 ) -> None:
     rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
     settings = replace(
-        SETTINGS, black_frames=8, floodlit_frames=16, symmetry_frames=6, watch="warn",
+        SETTINGS, all_off_brackets=8, all_on_brackets=16, symmetry_brackets=6, watch="warn",
         check_interval=8, asymmetry=0.05, divide_out_drift=True,
     )  # fmt: skip
     accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial

@@ -76,7 +76,7 @@ def test_the_pair_gets_its_options_and_the_sensor(
 def test_user_devices_acquire_and_are_served(tmp_path: Path) -> None:
     config = parse_rig_config(PAIR, "rig.yaml")
     with running(lambda: rig_from_config(config)) as server, server.client() as rig:
-        result = acquire(rig, "brute_force", progress=False, black_frames=2, floodlit_frames=2)
+        result = acquire(rig, "brute_force", progress=False, all_off_brackets=2, all_on_brackets=2)
     assert result.transport.projector_shape == (4, 5)
     lit = result.transport.relight(np.ones((4, 5)))[4:-4, 5:-5]
     assert lit.mean() == pytest.approx(0.8 * 0.4, rel=0.05)

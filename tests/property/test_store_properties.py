@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays_of
 
-from rfpipe.store import FrameStore
+from rfpipe.store import PictureStore
 
 DTYPES = st.sampled_from([np.uint16, np.float32, np.int64])
 
@@ -23,7 +23,7 @@ def test_frames_written_in_any_order_and_any_sessions(
     with TemporaryDirectory() as folder:
         path = Path(folder) / "s"
         while True:
-            with FrameStore.create(
+            with PictureStore.create(
                 path, shape, dtype, "abc", {}, items_per_chunk=items_per_chunk
             ) as store:
                 runs = store.missing(longest=data.draw(st.integers(1, 5)))
@@ -31,5 +31,5 @@ def test_frames_written_in_any_order_and_any_sessions(
                     break
                 for start, stop in data.draw(st.permutations(runs))[: len(runs) // 2 + 1]:
                     store.write(start, frames[start:stop])
-        result = FrameStore.open(path).read(0, shape[0])
+        result = PictureStore.open(path).read(0, shape[0])
     assert result.tobytes() == frames.tobytes()  # NaN included

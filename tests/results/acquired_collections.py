@@ -15,7 +15,7 @@ from rfpipe.stages.settings import (
     rig_source_settings,
     stage_settings,
 )
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock
 
 __all__ = ["acquire_item"]
@@ -25,7 +25,7 @@ def acquire_item(settings: Config, scene: str, method: str, results: Path) -> Pa
     """Acquire one scene by one method, like a job of the workflow; return its folder."""
     folder = results / scene / method
     acquisition = Acquisition(
-        AcquisitionFolder(folder),
+        FolderStorage(folder),
         AcquisitionSettings(**stage_settings(settings, scene, method)),
         rig_source=rig_source(**rig_source_settings(settings, scene)),
         plan=Plan.of(**plan_settings(settings, scene, method)),

@@ -31,7 +31,7 @@ class RemoteAcquisition(StagewiseAcquisition):
         self.token.write_text(TOKEN)
         self.token.chmod(0o600)
 
-        self.settings = replace(SETTINGS, black_frames=8, floodlit_frames=64)
+        self.settings = replace(SETTINGS, all_off_brackets=8, all_on_brackets=64)
 
     def context(self, **settings: Any) -> Acquisition:
         rays = {

@@ -24,7 +24,7 @@ from rfpipe.testing.methods import run_method
 
 SIDE = 12
 SHAPE = (SIDE, SIDE)
-FRAMES = {"black_frames": 2, "floodlit_frames": 8, "progress": False}
+FRAMES = {"all_off_brackets": 2, "all_on_brackets": 8, "progress": False}
 
 
 def coaxial() -> np.ndarray:
@@ -105,7 +105,7 @@ class InterruptedRig(OperatorRig):
 def test_ctrl_c_returns_the_transport_of_the_finished_levels() -> None:
     rig = InterruptedRig(coaxial(), SHAPE, SHAPE, noise=None)
     rig.brackets = 5
-    result = rfpipe.acquire(rig, "near_far", symmetry_frames=0, **FRAMES)
+    result = rfpipe.acquire(rig, "near_far", symmetry_brackets=0, **FRAMES)
     relit = result.transport.relight(np.ones(SHAPE))
     assert np.allclose(relit.ravel(), coaxial().sum(axis=1), rtol=1e-4)
 
@@ -114,7 +114,7 @@ def test_ctrl_c_before_the_floodlit_image_returns_nothing() -> None:
     rig = InterruptedRig(coaxial(), SHAPE, SHAPE, noise=None)
     rig.brackets = 2  # a black bracket and a white one
     with pytest.raises(KeyboardInterrupt):
-        rfpipe.acquire(rig, "near_far", symmetry_frames=0, **FRAMES)
+        rfpipe.acquire(rig, "near_far", symmetry_brackets=0, **FRAMES)
 
 
 @pytest.mark.parametrize(
@@ -144,7 +144,7 @@ class RecordingMethod(NearFar):
 def test_the_floodlit_image_is_the_mean_of_all_its_brackets() -> None:
     variances: list[float] = []
     for count in (1, 16):
-        frames = FRAMES | {"floodlit_frames": count}
+        frames = FRAMES | {"all_on_brackets": count}
         method = RecordingMethod(variances)
         rfpipe.acquire(noisy_rig(coaxial()), method, patterns=13, **frames)
     assert variances[1] == pytest.approx(variances[0] / 16, rel=0.1)

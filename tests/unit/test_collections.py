@@ -22,7 +22,7 @@ ROWS = "name,kind,surfaces,shape,channels\na,plane,texture,6 x 8,1\nb,wedge,whit
 SETTINGS = """
 collection: scenes.csv
 methods: {hadamard: {}, brute_force: {}}
-capture: {black_frames: 3, floodlit_frames: 4}
+capture: {all_off_brackets: 3, all_on_brackets: 4}
 """
 
 

@@ -35,7 +35,7 @@ def only(**changes: Any) -> Any:
 
 
 def test_a_forecast_counts_patterns_references_and_the_warm_up() -> None:
-    capture = {"seconds_per_pattern": 3.0, "black_frames": 2, "floodlit_frames": 5}
+    capture = {"seconds_per_pattern": 3.0, "all_off_brackets": 2, "all_on_brackets": 5}
     capture["warm_up_minutes"] = 4
     row = only(methods={"brute_force": {}}, capture=capture)
     assert (row.scene, row.method, row.rays) == ("wall", "brute_force", 35)

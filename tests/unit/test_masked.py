@@ -132,7 +132,7 @@ def test_a_mosaic_masks_the_neighbours_of_a_hot_photosite() -> None:
             return frames
 
     # one ray per photosite: interpolated photosites have no symmetric transport
-    options = {"symmetry_frames": 0, "progress": False}
+    options = {"symmetry_brackets": 0, "progress": False}
     result = acquire(HotPhotosite(rig, [], []), "symmetric", **options)
     assert result.masked.sum() == 9
     assert np.isfinite(dense(result.transport)).all()

@@ -205,7 +205,7 @@ def test_hard_cases_end_at_the_target(name: str) -> None:
     if name == "asymmetric_alignment":
         with pytest.raises(CaptureError, match="the transport is not symmetric"):
             run(scene, "near_far", None)
-    result = run(scene, "near_far", None, symmetry_frames=0)
+    result = run(scene, "near_far", None, symmetry_brackets=0)
     transport = result.transport
     assert np.isfinite(dense(transport)).all()
     assert np.isfinite(result.history["estimated_error"]).all()

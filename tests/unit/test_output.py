@@ -33,7 +33,7 @@ OFFLINE = {
     "scenes": {"desk": {"kind": "captured", "shape": [4, 5], "channels": 1}},
     "methods": {"symmetric": {}},
     "camera": {"exposures": [0.015625, 0.25]},
-    "capture": {"rig": "offline", "black_frames": 2, "floodlit_frames": 2},
+    "capture": {"rig": "offline", "all_off_brackets": 2, "all_on_brackets": 2},
     "offline": {"projector_shape": [26, 33]},
 }
 CITED = ("--license", "CC-BY-4.0", "--creator", "Doe, Jane")

@@ -5,7 +5,8 @@ import pytest
 
 from rfpipe.photometry.camera import apply_optics
 from rfpipe.photometry.demosaic import demosaic, mosaic
-from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
+from rfpipe.photometry.normalize import LevelGain, apply, level_gain
+from rfpipe.units import NormalizationMode
 
 SHAPE = (8, 10, 3)
 NONE = np.zeros(SHAPE)
@@ -21,13 +22,15 @@ def dimmed(patterns: int = 5) -> tuple[np.ndarray, np.ndarray]:
 
 
 def gain(
-    images: np.ndarray, floodlit: np.ndarray, mode: Mode, complete: bool = True
-) -> Normalization:
+    images: np.ndarray, floodlit: np.ndarray, mode: NormalizationMode, complete: bool = True
+) -> LevelGain:
     return level_gain(floodlit, images.sum(axis=0), NONE, mode, complete, 3.0, NONE)
 
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
-def test_channels_are_scaled_separately_or_by_the_energy_of_the_image(mode: Mode) -> None:
+def test_channels_are_scaled_separately_or_by_the_energy_of_the_image(
+    mode: NormalizationMode,
+) -> None:
     images, floodlit = dimmed()
     corrected, _ = apply(images, np.ones_like(images), gain(images, floodlit, mode))
     energy = images if mode == "per_channel" else images.sum(axis=-1, keepdims=True)  # E_p
@@ -36,7 +39,7 @@ def test_channels_are_scaled_separately_or_by_the_energy_of_the_image(mode: Mode
 
 @pytest.mark.parametrize(("mode", "complete"), [("none", True), ("total_energy", False)])
 def test_normalization_is_skipped_if_disabled_or_if_rays_stay_dark(
-    mode: Mode, complete: bool
+    mode: NormalizationMode, complete: bool
 ) -> None:
     images, floodlit = dimmed()
     variance = np.ones_like(images)
@@ -50,7 +53,9 @@ def test_normalization_is_skipped_if_disabled_or_if_rays_stay_dark(
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
 @pytest.mark.parametrize("total", [0.0, 1e-30, -0.2, 0.02, 0.3])
-def test_pixels_with_a_sum_within_noise_are_not_changed(mode: Mode, total: float) -> None:
+def test_pixels_with_a_sum_within_noise_are_not_changed(
+    mode: NormalizationMode, total: float
+) -> None:
     images, floodlit = dimmed()
     images[:, 2, 3] = total / len(images)
     variance = np.full(SHAPE, 0.0 if total < 0.01 else 0.2**2)
@@ -60,7 +65,9 @@ def test_pixels_with_a_sum_within_noise_are_not_changed(mode: Mode, total: float
 
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
-def test_pixels_with_black_or_unknown_floodlit_light_are_not_changed(mode: Mode) -> None:
+def test_pixels_with_black_or_unknown_floodlit_light_are_not_changed(
+    mode: NormalizationMode,
+) -> None:
     images, floodlit = dimmed()
     floodlit_variance = np.zeros(SHAPE)
     floodlit[0, 0] = -0.1
@@ -86,7 +93,7 @@ def test_a_channel_without_light_stays_dark() -> None:
 
 
 @pytest.mark.parametrize("mode", ["per_channel", "total_energy"])
-def test_the_variance_follows_the_scaling(mode: Mode) -> None:
+def test_the_variance_follows_the_scaling(mode: NormalizationMode) -> None:
     images, floodlit = dimmed(3)
     sigma = 0.01
     noise = np.random.default_rng(0).normal(0, sigma, (4000, *images.shape[1:])).astype(np.float32)

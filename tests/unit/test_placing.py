@@ -13,7 +13,7 @@ from rfpipe.errors import CaptureError, ConfigError
 from rfpipe.stages import capture, rig_sources
 from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.rig_sources import RemoteSource, place_scene
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 
 WRITE = "import os, sys; open(sys.argv[1], 'a').write(os.environ['RFPIPE_SCENE'] + chr(10))"
 
@@ -62,7 +62,7 @@ def test_scene_is_placed_before_the_rig_is_connected(
     source = RemoteSource(
         rays, "http://localhost:1", None, patience_seconds=0, placing=placed_by(tmp_path)[0]
     )
-    context = CaptureContext(AcquisitionFolder(tmp_path / "jug/dual"), rig_source=source)
+    context = CaptureContext(FolderStorage(tmp_path / "jug/dual"), rig_source=source)
     with pytest.raises(CaptureError, match="no rig here"):
         capture.run(context, 0)
     assert placed == ["jug\n"]

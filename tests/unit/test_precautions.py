@@ -18,7 +18,7 @@ from rfpipe.stages import acquire as module
 from rfpipe.stages.settings import operating_settings, stage_settings
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
 
-FEW = {"floodlit_frames": 8, "progress": False, "symmetry_frames": 0, "tolerance": 1e-2}
+FEW = {"all_on_brackets": 8, "progress": False, "symmetry_brackets": 0, "tolerance": 1e-2}
 
 
 class Real:

@@ -8,7 +8,7 @@ import pytest
 from rfpipe.errors import DamagedStageError
 from rfpipe.methods import get_method
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import ArrayBundle
 from rfpipe.testing.methods import MethodRun, run_method
 
@@ -24,9 +24,9 @@ def acquired(method: str) -> MethodRun:
     return run_method(get_method(method), matrix[None], SHAPE, SHAPE, **options)
 
 
-def stored(path: Path, run: MethodRun) -> AcquisitionFolder:
+def stored(path: Path, run: MethodRun) -> FolderStorage:
     """Write the refinements of a run in process."""
-    folder = AcquisitionFolder(path)
+    folder = FolderStorage(path)
     for level, change in enumerate(run.changes):
         folder.write(level, "refine", f"{level}", change.arrays, {}, state=dict(change.attributes))
     return folder

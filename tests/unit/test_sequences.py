@@ -17,8 +17,8 @@ from rfpipe.stages.capture import bracket_sets
 from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.stages.settings import AcquisitionSettings
-from rfpipe.storage.files import AcquisitionFolder, write_result
-from rfpipe.store import FrameStore
+from rfpipe.storage.files import FolderStorage, write_result
+from rfpipe.store import PictureStore
 from rfpipe.testing import RigContract
 from rfpipe.units import BLACK_LEVEL_KEY, SEQUENCE_KEY
 
@@ -211,7 +211,7 @@ class Stopping(SimulatedSequences):
 
 def test_an_interrupted_capture_continues_at_its_sequence(tmp_path: Path) -> None:
     plain, (shown, _) = rig(), patterns("half")
-    folder = AcquisitionFolder(tmp_path / "scene" / "method")
+    folder = FolderStorage(tmp_path / "scene" / "method")
     facts = {"stage": "schedule", "level": 1, "patterns": COUNT, "complete": False}
     facts |= {"shape": list(RAYS), "shown": "these", "seed": 1, "units": "fraction of full light"}
     write_result(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
@@ -224,7 +224,7 @@ def test_an_interrupted_capture_continues_at_its_sequence(tmp_path: Path) -> Non
     resumed = SimulatedSequences(plain, longest=5)
     capture.run(CaptureContext(folder, rig_source=GivenRig(resumed)), 1)
     assert resumed.statistics["sequences"]["played"] == 2 * len(plain.sensor.exposures)
-    with FrameStore.open(folder.store(1, "capture")) as frames:
+    with PictureStore.open(folder.store(1, "capture")) as frames:
         np.testing.assert_array_equal(
             frames.read(0, COUNT), plain.capture(shown, [(1, i) for i in range(COUNT)])
         )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from tests.rigs.known_matrix import contents
 
 from rfpipe.errors import InputError, IntegrityError, StoreError
-from rfpipe.store import FrameStore, open_arrays, write_arrays
+from rfpipe.store import PictureStore, open_arrays, write_arrays
 
 ATTRIBUTES = {"unit": "radiance", "shape": [3, 4], "gain": 0.1}
 
@@ -138,9 +138,9 @@ def test_other_bad_input_is_refused(tmp_path: Path) -> None:
 
 
 def test_other_files_are_not_replaced(tmp_path: Path) -> None:
-    FrameStore.create(tmp_path / "s", (2, 3), np.uint16, "abc", {}).close()
+    PictureStore.create(tmp_path / "s", (2, 3), np.uint16, "abc", {}).close()
     (tmp_path / "photos").mkdir()
     for name in ("s", "photos"):
         with pytest.raises(InputError, match="other than a bundle of arrays exists"):
             write_arrays(tmp_path / name, {}, {})
-    assert FrameStore.open(tmp_path / "s").shape == (2, 3)
+    assert PictureStore.open(tmp_path / "s").shape == (2, 3)

@@ -15,7 +15,7 @@ from tests.rigs.known_matrix import contents
 from tests.services.waiting import wait_until
 
 from rfpipe.errors import LockedError, StoreError
-from rfpipe.store import FrameStore, StoreLock, lock, open_arrays, write_arrays
+from rfpipe.store import PictureStore, StoreLock, lock, open_arrays, write_arrays
 from rfpipe.store.chunks import ChunkedArray
 from rfpipe.store.journal import JournalWriter, read_journal
 
@@ -25,12 +25,12 @@ WRITER = """
 import sys, time
 from pathlib import Path
 import numpy as np
-from rfpipe.store import FrameStore
+from rfpipe.store import PictureStore
 
 path, n_items, in_a_chunk, in_a_file, pause, last = Path(sys.argv[1]), *map(float, sys.argv[2:])
 shape = (int(n_items), 40, 50, 3)
 chunks = {"items_per_chunk": int(in_a_chunk), "chunks_per_file": int(in_a_file)}
-with FrameStore.create(path, shape, "u2", "abc", {}, **chunks) as store:
+with PictureStore.create(path, shape, "u2", "abc", {}, **chunks) as store:
     for start, stop in store.missing(longest=3):
         rows = [np.random.default_rng(i).integers(0, 4096, shape[1:]) for i in range(start, stop)]
         store.write(start, np.stack(rows).astype("u2"))
@@ -41,12 +41,12 @@ import resource, sys
 from pathlib import Path
 import numpy as np
 from rfpipe.errors import StoreError
-from rfpipe.store import FrameStore, write_arrays
+from rfpipe.store import PictureStore, write_arrays
 
 frames = np.random.default_rng(0).integers(0, 65536, (4, 200, 200)).astype("u2")
 path = Path(sys.argv[1])
 write_arrays(path / "bundle", {"a": np.arange(5)}, {})
-store = FrameStore.create(path / "s", frames.shape, "u2", "abc", {})
+store = PictureStore.create(path / "s", frames.shape, "u2", "abc", {})
 store.write(0, frames[:2])
 resource.setrlimit(resource.RLIMIT_FSIZE, (40_000, 40_000))
 for write in (
@@ -93,7 +93,7 @@ def test_killed_writers_resume_to_the_same_bytes(tmp_path: Path, chunks: tuple[i
         time.sleep(moment)
         writer.send_signal(signal.SIGKILL)
         assert writer.wait() == -signal.SIGKILL
-        before, captured = captured, int(FrameStore.open(path).done.sum())
+        before, captured = captured, int(PictureStore.open(path).done.sum())
         assert before < captured <= N_ITEMS
     assert start_writer(path, chunks, 0).wait() == 0
     assert contents(path) == contents(tmp_path / "whole")
@@ -171,7 +171,7 @@ def test_a_full_disk_loses_nothing_that_is_captured(tmp_path: Path) -> None:
     assert f"({tmp_path / 'bundle'})" in bundle_error
     assert open_arrays(tmp_path / "bundle").shape("a") == (5,)
     frames = np.random.default_rng(0).integers(0, 65536, (4, 200, 200)).astype("u2")
-    with FrameStore.create(tmp_path / "s", frames.shape, "u2", "abc", {}) as store:
+    with PictureStore.create(tmp_path / "s", frames.shape, "u2", "abc", {}) as store:
         assert store.missing() == [(2, 4)]
         np.testing.assert_array_equal(store.read(0, 2), frames[:2])
         store.write(2, frames[2:])
@@ -214,7 +214,7 @@ def test_an_item_is_in_the_journal_only_once_its_chunk_is_written(
             raise OSError(5, os.strerror(5))
         return packed(files, block)
 
-    with FrameStore.create(
+    with PictureStore.create(
         tmp_path / "s", frames.shape, "u2", "abc", {}, items_per_chunk=items_per_chunk
     ) as store:
         store.write(0, frames[:2])
@@ -235,7 +235,7 @@ def test_a_forbidden_folder_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyP
 
     monkeypatch.setattr(os, "open", forbidden)
     for attempt in (
-        lambda: FrameStore.create(tmp_path / "s", (2, 3), "u2", "abc", {}),
+        lambda: PictureStore.create(tmp_path / "s", (2, 3), "u2", "abc", {}),
         lambda: write_arrays(tmp_path / "s", {}, {}),
     ):
         with pytest.raises(

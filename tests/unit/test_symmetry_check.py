@@ -18,7 +18,7 @@ from rfpipe.units import SYMMETRY_KEY
 
 RAYS = SHAPE[0] * SHAPE[1]
 COAXIAL = ("symmetric", "near_far")
-FEW = {"floodlit_frames": 8, "progress": False}
+FEW = {"all_on_brackets": 8, "progress": False}
 
 
 def vignetted(matrix: np.ndarray) -> np.ndarray:
@@ -57,13 +57,13 @@ def test_the_accepted_asymmetry_is_a_setting(caplog) -> None:
         rfpipe.acquire(wrong, "symmetric", asymmetry=0.5, tolerance=1e-2, **FEW)
     assert "capture.asymmetry" in caplog.text
     caplog.clear()
-    off = {"symmetry_frames": 0}
+    off = {"symmetry_brackets": 0}
     rfpipe.acquire(wrong, "symmetric", tolerance=1e-2, **off, **FEW)
     rfpipe.acquire(wrong, "dual", tolerance=1e-2, **FEW)
     assert not caplog.text
     for frames in (1, 2):
-        with pytest.raises(InputError, match=f"symmetry_frames is {frames}"):
-            rfpipe.acquire(wrong, "symmetric", symmetry_frames=frames, **FEW)
+        with pytest.raises(InputError, match=f"symmetry_brackets is {frames}"):
+            rfpipe.acquire(wrong, "symmetric", symmetry_brackets=frames, **FEW)
 
 
 def test_a_black_scene_has_no_asymmetry() -> None:

@@ -18,7 +18,7 @@ from rfpipe.photometry.camera import UNKNOWN_DEVIATION
 from rfpipe.provenance import generator
 from rfpipe.stages.verification import Verification, check_bounds, compare_with_captured
 
-FEW = {"floodlit_frames": 32, "progress": False, "symmetry_frames": 0}
+FEW = {"all_on_brackets": 32, "progress": False, "symmetry_brackets": 0}
 
 
 @pytest.mark.parametrize("camera", [None, CameraModel(), DIM])

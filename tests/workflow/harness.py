@@ -23,7 +23,7 @@ CONFIG: dict[str, Any] = {
     },
     "methods": {"symmetric": {}, "dual": {}, "brute_force": {}},
     # one pattern at a time, so that a capture can be stopped anywhere
-    "capture": {"batch_patterns": 1, "black_frames": 4, "floodlit_frames": 4},
+    "capture": {"batch_patterns": 1, "all_off_brackets": 4, "all_on_brackets": 4},
     # jobs of single stages, as for larger scenes
     "resources": {"jobs": "stage"},
 }

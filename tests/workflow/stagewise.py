@@ -22,7 +22,7 @@ from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.stages.settings import AcquisitionSettings
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock
 from rfpipe.transport import open_transport
 
@@ -39,7 +39,7 @@ def symmetric_matrix() -> np.ndarray:
 
 
 SETTINGS = AcquisitionSettings(
-    code=CODE, black_frames=2, floodlit_frames=2, scene="matrix", progress=False
+    code=CODE, all_off_brackets=2, all_on_brackets=2, scene="matrix", progress=False
 )
 
 
@@ -50,7 +50,7 @@ class StagewiseAcquisition:
         self, path: Path, rig: Any, tolerance: float | None = 1e-3, method: str = "symmetric"
     ) -> None:
         self.rig = rig
-        self.folder = AcquisitionFolder(path)
+        self.folder = FolderStorage(path)
         options = {} if tolerance is None else {"tolerance": tolerance}
         self.plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
         self.resources = Resources()
@@ -102,9 +102,9 @@ def acquire(
     rig: Any,
     plan: str | Plan = "symmetric",
     settings: AcquisitionSettings = SETTINGS,
-) -> AcquisitionFolder:
+) -> FolderStorage:
     """Start or continue an acquisition of a matrix, like a job of all stages."""
-    folder = AcquisitionFolder(path)
+    folder = FolderStorage(path)
     if isinstance(plan, str):
         plan = Plan.of(plan, plan, SHAPE, SHAPE, 1)
     with StoreLock(path):

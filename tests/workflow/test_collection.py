@@ -12,7 +12,7 @@ from tests.workflow.test_reruns import jobs
 from rfpipe.jobs.workers import machine_memory_mb
 
 ROWS = """\
-name,kind,surfaces,file,shape,channels,capture.floodlit_frames,camera.bits,settings.seed
+name,kind,surfaces,file,shape,channels,capture.all_on_brackets,camera.bits,settings.seed
 first,plane,{first},,6 x 8,1,,,
 second,matrix,,bad.npy,6 x 8,1,,,
 third,wedge,texture white,,6 x 8,1,5,10,3

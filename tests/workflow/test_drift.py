@@ -15,7 +15,7 @@ from rfpipe.references.check_pictures import check_positions
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture
 from rfpipe.stages.plan import Plan
-from rfpipe.store import FrameStore
+from rfpipe.store import PictureStore
 from rfpipe.units import CHECK_PICTURE_KEY, WARM_UP_KEY
 
 EVERY = 3
@@ -76,7 +76,7 @@ def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def images(mine: StagewiseAcquisition) -> np.ndarray:
-    with mine.folder.frames(1, "merge") as frames:
+    with mine.folder.pictures(1, "merge") as frames:
         return frames.read(0, RAYS)[:, 0]
 
 
@@ -172,7 +172,7 @@ def test_the_lamp_warms_up_when_it_may_have_been_off(
     shown = [key for key in mine.rig.keys if key[0] == WARM_UP_KEY]
     assert 2 <= len(shown) <= 6
     assert mine.rig.keys[: len(shown)] == shown
-    with FrameStore.open(mine.folder.store(0, "capture")) as frames:
+    with PictureStore.open(mine.folder.store(0, "capture")) as frames:
         assert frames.shape[0] == 1
     for stage in (mine.merge, mine.normalize, mine.refine, mine.schedule):
         stage(1 if stage == mine.schedule else 0)

@@ -23,7 +23,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages import capture, merge, normalize
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.rig_sources import GivenRig
@@ -33,12 +33,12 @@ from rfpipe.jobs.workers import Resources
 
 shape, count = (40, 50), int(sys.argv[2])
 rays = shape[0] * shape[1]
-folder = AcquisitionFolder(Path(sys.argv[1]))
+folder = FolderStorage(Path(sys.argv[1]))
 plan = Plan.of("brute_force", "brute_force", shape, shape, 3)
 light = scipy.sparse.identity(rays, format="csr")
 rig = OperatorRig([light, 0.5 * light, 0.1 * light], shape, shape, CameraModel(), seed=1)
 resources = Resources(memory_gib=0.01, threads=2)
-settings = AcquisitionSettings(black_frames=4, floodlit_frames=20)
+settings = AcquisitionSettings(all_off_brackets=4, all_on_brackets=20)
 acquisition = Acquisition(folder, settings, resources, GivenRig(rig), plan=plan)
 for level, patterns in enumerate((1, count)):
     lit = generator(1, level).integers(0, patterns, shape).astype(np.int32)

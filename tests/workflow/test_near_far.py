@@ -31,7 +31,9 @@ def test_a_run_gives_the_transport_of_an_acquisition_in_process(tmp_path: Path) 
     rig = SimulatedRig(
         scene_from_config(config.scenes["wedge"]), sensor_from_config(config.camera), config.seed
     )
-    frames = {name: getattr(config.capture, name) for name in ("black_frames", "floodlit_frames")}
+    frames = {
+        name: getattr(config.capture, name) for name in ("all_off_brackets", "all_on_brackets")
+    }
     result = acquire(rig, "near_far", progress=False, **frames)
     stored = open_transport(workflow.path("wedge/near_far/transport.zarr"))
     expected, facts = result.transport.pack(config.storage.number_format)

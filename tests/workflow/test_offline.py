@@ -39,7 +39,7 @@ from rfpipe.stages.settings import (
     stage_settings,
 )
 from rfpipe.storage.base import VERIFICATION_MANIFEST
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import read_manifest, write_manifest
 
 SHAPE = (4, 5)
@@ -47,7 +47,7 @@ SETTINGS: dict[str, Any] = {
     "scenes": {"desk": {"kind": "captured", "shape": list(SHAPE), "channels": 1}},
     "methods": {"symmetric": {}},
     "camera": {"exposures": [0.015625, 0.25]},
-    "capture": {"rig": "offline", "black_frames": 2, "floodlit_frames": 2},
+    "capture": {"rig": "offline", "all_off_brackets": 2, "all_on_brackets": 2},
     "offline": {"projector_shape": [26, 33]},
 }
 CAMERA = CameraModel(**CameraConfig(**SETTINGS["camera"]).model_dump())
@@ -134,7 +134,7 @@ def verified(path: Path, results: Path) -> dict[str, Any]:
     settings = load_config(path)
     rig = rig_source_settings(settings, "desk")
     assert rig["kind"] == "offline"
-    folder = AcquisitionFolder(results / "desk" / "symmetric")
+    folder = FolderStorage(results / "desk" / "symmetric")
     context = CaptureContext(folder, settings_of(settings), rig_source=rig_source(**rig))
     verification.run(context, settings.verification_pictures)
     return read_manifest(results / "desk" / "symmetric" / VERIFICATION_MANIFEST)

@@ -47,7 +47,7 @@ def test_it_runs_in_process_by_path_class_or_instance() -> None:
     method = get_method(path)
     runs = [acquire(rig, it, progress=False, width=3) for it in (path, type(method), method)]
     assert [run.patterns for run in runs] == [1, 1, 1]
-    with pytest.raises(InputError, match=r"width is 0; it should be greater than or equal to 1"):
+    with pytest.raises(InputError, match=r"width is 0; it should be at least 1"):
         acquire(rig, path, progress=False, width=0)
     with pytest.raises(InputError, match="tolerance is unknown"):
         acquire(rig, path, progress=False, tolerance=0.1)

@@ -19,7 +19,7 @@ from rfpipe.publishing.metadata import Citation
 from rfpipe.publishing.publication import publish
 from rfpipe.publishing.run import find_run
 from rfpipe.references.reference_images import read_floodlit
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 
 _VALIDATE_CRATE = """
 import sys, json, responses
@@ -130,7 +130,7 @@ def test_a_run_with_user_code_can_be_repeated_from_its_crate(tmp_path: Path, ker
 def test_published_pictures_and_transports_equal_those_of_the_run(
     crate: Path, undisturbed: Workflow
 ) -> None:
-    floodlit, _ = read_floodlit(AcquisitionFolder(undisturbed.path("tiny/dual")))
+    floodlit, _ = read_floodlit(FolderStorage(undisturbed.path("tiny/dual")))
     assert np.array_equal(read_image(crate / "pictures/tiny/dual/floodlit.exr"), floodlit)
     name = "results/long/brute_force/transport.zarr"
     light = np.random.default_rng(0).random((5, 8), np.float32)

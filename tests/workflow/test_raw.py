@@ -26,9 +26,9 @@ from tests.workflow.stagewise import (
 from rfpipe.errors import IntegrityError, StaleStoreError, StoreError
 from rfpipe.rigs import OperatorRig
 from rfpipe.storage import files
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.storage.retake import Retake
-from rfpipe.store import FrameStore, drop, read_manifest
+from rfpipe.store import PictureStore, drop, read_manifest
 
 RAW = ("L00/reference_brackets.zarr", "L00/capture.zarr", "L01/capture.zarr")
 
@@ -63,7 +63,7 @@ def test_results_are_the_same_without_raw_exposures(
     assert len(chunks(complete.folder.path)) > 4
     assert chunks(acquisition.folder.path) == []
     assert everything(acquisition.folder.path, RAW) == everything(complete.folder.path, RAW)
-    raw = FrameStore.open(acquisition.folder.path / RAW[2])
+    raw = PictureStore.open(acquisition.folder.path / RAW[2])
     assert raw.dropped
     assert raw.complete
     with pytest.raises(StoreError, match="4 items were dropped after they had been used"):
@@ -99,7 +99,7 @@ def test_other_merge_settings_need_the_raw_exposures(acquisition: StagewiseAcqui
             acquisition.merge(level, mask_defects=False)
         assert "capture.keep_raw is false" in str(error.value)
         assert "Set that back and run again" in str(error.value)
-        assert acquisition.folder.retaking() in str(error.value)
+        assert acquisition.folder.retake_command() in str(error.value)
         acquisition.merge(level)  # with the previous settings
     assert everything(acquisition.folder.path) == before
 
@@ -122,7 +122,7 @@ def test_damaged_merged_images_need_the_raw_exposures(
     acquisition.folder.manifest(level, "merge").unlink()  # as the message advises
     with pytest.raises(StaleStoreError, match=r"damaged.*To capture all levels again"):
         acquisition.merge(level)
-    FrameStore.discard(acquisition.folder.store(level, store))
+    PictureStore.discard(acquisition.folder.store(level, store))
     with pytest.raises(StaleStoreError, match="To capture all levels again"):
         acquisition.merge(level)
 
@@ -171,11 +171,11 @@ def test_a_kill_while_dropping_loses_nothing(
     cut.capture(level)
     with monkeypatch.context() as patch:
         if where == "before":
-            patch.setattr(AcquisitionFolder, "drop_raw", killed)
+            patch.setattr(FolderStorage, "drop_raw", killed)
         elif where == "the merged to the disk":
             patch.setattr(files, "to_disk", killed)
         elif where == "the marker":
-            patch.setattr("rfpipe.store.frames.write_manifest", killed)
+            patch.setattr("rfpipe.store.pictures.write_manifest", killed)
         else:
             remove, removable = Path.unlink, iter(range(0 if where == "the first file" else 2))
 
@@ -199,26 +199,26 @@ def test_a_kill_while_dropping_loses_nothing(
 def test_only_a_complete_store_can_be_dropped(tmp_path: Path) -> None:
     frames = np.arange(24, dtype=np.uint16).reshape(2, 3, 4)
     path = tmp_path / "s"
-    with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
+    with PictureStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
         store.write(0, frames[:1])
         with pytest.raises(StoreError, match="is writing this store"):
             drop(path)
     with pytest.raises(StoreError, match="only the items of a complete store"):
         drop(path)
-    with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
+    with PictureStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
         store.write(1, frames[1:])
         digest = store.digest()
     size = sum(path.stat().st_size for path in path.glob("c.*"))
     assert drop(path) == size
     assert drop(path) == 0
-    with FrameStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
+    with PictureStore.create(path, (2, 3, 4), np.uint16, "abc", {}) as store:
         assert store.complete
         assert store.digest() == digest == read_manifest(path / "dropped.json")["digest"]
         with pytest.raises(StoreError, match="captured already"):
             store.write(0, frames[:1])
     (path / "journal.jsonl").write_text("")
     with pytest.raises(IntegrityError, match="damaged journal of a store whose items were dropped"):
-        FrameStore.open(path)
+        PictureStore.open(path)
 
 
 @pytest.mark.slow

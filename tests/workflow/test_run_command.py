@@ -18,7 +18,7 @@ from tests.workflow.test_reruns import jobs
 
 SHAPE = {"shape": [6, 8], "channels": 1}
 WALL = {"kind": "wedge", "surfaces": ["texture", "white"], **SHAPE}
-CAPTURE = {"black_frames": 2, "floodlit_frames": 4, "batch_patterns": 1}
+CAPTURE = {"all_off_brackets": 2, "all_on_brackets": 4, "batch_patterns": 1}
 
 pytestmark = pytest.mark.slow
 

@@ -214,7 +214,7 @@ def test_files_equal_the_result_in_process_with_hot_pixels(tmp_path: Path, metho
     acquisition = StagewiseAcquisition(tmp_path, rig, None, method)
     acquisition.acquire_levels()
     stored = acquisition.assemble()
-    result = acquire(rig, method, progress=False, black_frames=2, floodlit_frames=2)
+    result = acquire(rig, method, progress=False, all_off_brackets=2, all_on_brackets=2)
     assert np.argwhere(result.masked).tolist() == [[1, 2], [3, 4]]
     assert read_manifest(tmp_path / "transport.json")["masked"] == 2
     impulses = np.eye(RAYS, dtype=np.float32).reshape(RAYS, *SHAPE)

@@ -32,8 +32,8 @@ from rfpipe.references import symmetry
 from rfpipe.references.symmetry import Asymmetry
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages.plan import Plan
-from rfpipe.storage.files import AcquisitionFolder
-from rfpipe.store import FrameStore, read_manifest
+from rfpipe.storage.files import FolderStorage
+from rfpipe.store import PictureStore, read_manifest
 
 FRAMES = 6
 
@@ -49,15 +49,15 @@ def judge(acquisition: StagewiseAcquisition, accepted: float = 0.05) -> dict[str
 def begun(path: Path, matrix: np.ndarray) -> StagewiseAcquisition:
     acquisition = StagewiseAcquisition(path, matrix_rig(matrix, CameraModel()))
     acquisition.schedule(0)
-    acquisition.capture(0, symmetry_frames=FRAMES)
+    acquisition.capture(0, symmetry_brackets=FRAMES)
     acquisition.merge(0)
     return acquisition
 
 
-def acquired(plan: Plan, folder: AcquisitionFolder, rig: OperatorRig, frames: int) -> None:
+def acquired(plan: Plan, folder: FolderStorage, rig: OperatorRig, frames: int) -> None:
     """Run all levels of an acquisition."""
     frames = frames if plan.measures_symmetry else 0
-    settings = replace(SETTINGS, symmetry_frames=frames, normalization="none")
+    settings = replace(SETTINGS, symmetry_brackets=frames, normalization="none")
     acquire(folder.path, rig, plan, settings)
 
 
@@ -70,12 +70,12 @@ def test_symmetry_brackets_may_be_deleted_after_the_test(tmp_path: Path) -> None
     facts = judge(acquisition)
     acquisition.settings = replace(SETTINGS, keep_raw=False)
     acquisition.merge(0)
-    assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
+    assert PictureStore.open(acquisition.folder.store(0, "symmetry")).dropped
     acquisition.folder.manifest(0, "merge").unlink()
     acquisition.merge(0)
     assert judge(acquisition) == facts
-    acquisition.capture(0, symmetry_frames=FRAMES)  # all are stored
-    assert FrameStore.open(acquisition.folder.store(0, "symmetry")).dropped
+    acquisition.capture(0, symmetry_brackets=FRAMES)  # all are stored
+    assert PictureStore.open(acquisition.folder.store(0, "symmetry")).dropped
 
 
 class Choice(MethodDescription):
@@ -101,7 +101,7 @@ def test_a_method_for_all_rigs_continues_as_the_measured_rig_requires(
 ) -> None:
     matrix = symmetric_matrix() if coaxial else crooked()
     name = f"{__file__}:Choice"
-    folder = AcquisitionFolder(tmp_path / "acquired")
+    folder = FolderStorage(tmp_path / "acquired")
 
     def run() -> str:
         plan = Plan.of("choice", name, SHAPE, SHAPE, 1)
@@ -115,7 +115,7 @@ def test_a_method_for_all_rigs_continues_as_the_measured_rig_requires(
     assert folder.manifest(0, "refine").stat().st_mtime_ns == before  # nothing to do again
     stored = open_transport(folder.path / "transport.zarr")
     assert read_manifest(folder.path / "transport.json")["acquired_by"] == chosen
-    frames = {"black_frames": 2, "floodlit_frames": 2, "progress": False}
+    frames = {"all_off_brackets": 2, "all_on_brackets": 2, "progress": False}
     result = rfpipe.acquire(matrix_rig(matrix, CameraModel()), Choice(), **frames)
     assert type(result.transport) is type(stored)
 
@@ -128,8 +128,8 @@ def test_a_rig_is_coaxial_only_within_the_target_error_of_the_method() -> None:
 
 
 def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
-    def run(method: str, frames: int, name: str = "") -> AcquisitionFolder:
-        folder = AcquisitionFolder(tmp_path / (name or f"{method}_{frames}"))
+    def run(method: str, frames: int, name: str = "") -> FolderStorage:
+        folder = FolderStorage(tmp_path / (name or f"{method}_{frames}"))
         acquired(
             Plan.of(method, method, SHAPE, SHAPE, 1),
             folder,
@@ -140,7 +140,7 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
 
     with pytest.raises(CaptureError, match=r"not symmetric.*dual"):
         run("symmetric", FRAMES)
-    stopped = AcquisitionFolder(tmp_path / f"symmetric_{FRAMES}")
+    stopped = FolderStorage(tmp_path / f"symmetric_{FRAMES}")
     assert "symmetry" in stopped.read_manifest(0, "merge")
     assert not stopped.manifest(0, "normalize").exists()
     for method, frames in (("symmetric", 0), ("brute_force", FRAMES)):

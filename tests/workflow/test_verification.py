@@ -25,7 +25,7 @@ from rfpipe.stages.plan import Plan
 from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.storage.base import VERIFICATION, VERIFICATION_MANIFEST
 from rfpipe.storage.checking import check
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.storage.retake import find_retakes
 from rfpipe.store import read_manifest
 from rfpipe.units import CHECK_PICTURE_KEY, VERIFICATION_KEY
@@ -38,7 +38,7 @@ def settings(mode: str = "warn", interval: int = INTERVAL, code: str = CODE) -> 
     return replace(
         SETTINGS,
         code=code,
-        floodlit_frames=8,
+        all_on_brackets=8,
         batch_patterns=1,
         watch=mode,
         check_interval=interval,
@@ -47,13 +47,13 @@ def settings(mode: str = "warn", interval: int = INTERVAL, code: str = CODE) -> 
 
 def acquire(
     path: Path, rig: Any, method: str = "dual", mode: str = "warn", interval: int = INTERVAL
-) -> AcquisitionFolder:
+) -> FolderStorage:
     options = {"tolerance": 1e-2} if method == "dual" else {}
     plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
     return acquire_matrix(path, rig, plan, settings(mode, interval))
 
 
-def verified(folder: AcquisitionFolder, rig: Any, code: str = CODE) -> dict[str, Any]:
+def verified(folder: FolderStorage, rig: Any, code: str = CODE) -> dict[str, Any]:
     context = CaptureContext(folder, settings(code=code), rig_source=GivenRig(rig))
     verification.run(context, PICTURES)
     return read_manifest(folder.path / VERIFICATION_MANIFEST)

@@ -7,7 +7,7 @@ import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
 from rfpipe.errors import ConfigError
 from rfpipe.provenance import code_digest
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.jobs.snakemake import check_no_braces
 from rfpipe.jobs.workers import machine_memory_mb
 from rfpipe.stages.settings import (
@@ -148,5 +148,5 @@ def raw_to_drop(wildcards):
         f"results/{scene}/{method}/raw_dropped"
         for scene, method in SETTINGS.acquisitions
         if not of_scene(scene).capture.keep_raw
-        and AcquisitionFolder(Path("results", scene, method)).has_merged_raw()
+        and FolderStorage(Path("results", scene, method)).has_merged_raw()
     ]

@@ -20,7 +20,6 @@ from rfpipe.units import NumberFormat
 
 Batch = Annotated[int, Field(ge=1, le=1024)]
 ShellCommand = Annotated[str, AfterValidator(check_command)]
-NormalizationMode = Literal["none", "per_channel", "total_energy"]
 CaptureKind = Literal["simulated", "remote", "offline"]
 WatchMode = Literal["off", "warn", "refuse"]
 
@@ -88,8 +87,8 @@ class CaptureConfig(Settings):
         gt=0,
         le=3600,
     )
-    black_frames: Batch = Field(8, description="Brackets of the all-off pattern to average.")
-    floodlit_frames: Batch = Field(
+    all_off_brackets: Batch = Field(8, description="Brackets of the all-off pattern to average.")
+    all_on_brackets: Batch = Field(
         64,
         description="Brackets of the all-on pattern to average; they limit the noise of the "
         "direct light.",

@@ -25,7 +25,6 @@ from rfpipe.config.camera import CameraConfig
 from rfpipe.config.capture import (
     CaptureConfig,
     MergeConfig,
-    NormalizationMode,
     OfflineConfig,
     ReportConfig,
     ResourcesConfig,
@@ -36,6 +35,7 @@ from rfpipe.config.capture import (
 from rfpipe.config.mistakes import ABOUT, mistake, mistake_error, relocated
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.provenance import fingerprint
+from rfpipe.units import NormalizationMode
 
 _RESERVED_FOLDERS = {"catalogue", "report", "verified"}
 """Folders in a run's results that don't belong to a scene."""

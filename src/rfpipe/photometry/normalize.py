@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-Mode = Literal["none", "per_channel", "total_energy"]
+from rfpipe.units import NormalizationMode
 
 MAXIMUM_GAIN = 10.0
 """Largest factor of a sample. A pixel that would need a larger one was not lit by the level."""
 
 
 @dataclass(frozen=True, eq=False)
-class Normalization:
+class LevelGain:
     """Scaling of the images of one level.
 
     Parameters
@@ -29,18 +29,18 @@ class Normalization:
 
     gain: NDArray[np.float32]
     covered: NDArray[np.bool_]
-    mode: Mode
+    mode: NormalizationMode
 
 
 def level_gain(
     floodlit: NDArray[Any],
     total: NDArray[Any],
     total_variance: NDArray[Any],
-    mode: Mode,
+    mode: NormalizationMode,
     complete: bool,
     significance: float,
     floodlit_variance: NDArray[Any],
-) -> Normalization:
+) -> LevelGain:
     """Compute the factors with which a level's images add up to the floodlit image.
 
     Parameters
@@ -62,7 +62,7 @@ def level_gain(
 
     Returns
     -------
-    Normalization
+    LevelGain
         Finite and bounded. Pixels are not covered where the total or the floodlit image is unknown,
         within noise or not positive, or where the total is less than ``1 / MAXIMUM_GAIN`` of the
         floodlit image.
@@ -73,7 +73,7 @@ def level_gain(
     )
     if mode == "none" or not complete:
         nowhere = np.zeros(floodlit.shape, bool)
-        return Normalization(np.ones(floodlit.shape, np.float32), nowhere, mode)
+        return LevelGain(np.ones(floodlit.shape, np.float32), nowhere, mode)
     target = floodlit
     if mode == "total_energy":
         # channels without light have noise around zero, but light is not negative
@@ -93,13 +93,11 @@ def level_gain(
         & (total > floodlit / MAXIMUM_GAIN)
     )
     gain = np.divide(target, total, out=np.ones_like(target), where=covered)
-    return Normalization(
-        gain.astype(np.float32), np.array(np.broadcast_to(covered, gain.shape)), mode
-    )
+    return LevelGain(gain.astype(np.float32), np.array(np.broadcast_to(covered, gain.shape)), mode)
 
 
 def apply(
-    images: NDArray[np.float32], variance: NDArray[np.float32], normalization: Normalization
+    images: NDArray[np.float32], variance: NDArray[np.float32], normalization: LevelGain
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Scale images of a level and their variance, float32 (P, *camera_shape, C).
 

@@ -28,7 +28,7 @@ from rfpipe.publishing.run import (
 )
 from rfpipe.publishing.writing import Source, Writer, size_of, writing
 from rfpipe.storage.base import REFERENCE_IMAGES
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store.places import CHECKSUMS
 from rfpipe.transport.storage import STORE_NAME
 from rfpipe.version import __version__
@@ -138,7 +138,7 @@ def _data(run: RunFolder, *, captured: bool) -> Iterator[tuple[str, Source]]:
 
 def _floodlit(acquisition: FinishedAcquisition) -> Iterator[tuple[str, bytes]]:
     """Yield name and content of an acquisition's floodlit image, as EXR and PNG."""
-    folder = AcquisitionFolder(acquisition.folder)
+    folder = FolderStorage(acquisition.folder)
     if folder.store(0, REFERENCE_IMAGES).exists():
         floodlit = folder.read(0, "merge", REFERENCE_IMAGES)[0]["floodlit"]
         place = f"pictures/{acquisition.scene}/{acquisition.method}"

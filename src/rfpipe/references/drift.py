@@ -70,7 +70,7 @@ def measure_drift(
     first = first_check_picture(storage, references) if CHECK_PICTURES in captured else None
     if first is None:
         return Drift(None, {})
-    with storage.frames(level, "capture", CHECK_PICTURES) as frames:
+    with storage.pictures(level, "capture", CHECK_PICTURES) as frames:
         brackets = (frames.read(n, n + 1) for n in range(frames.shape[0]))
         differences = [compare_pictures(references, first, bracket) for bracket in brackets]
     gain = np.stack([difference.gain for difference in differences])

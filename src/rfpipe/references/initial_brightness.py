@@ -80,12 +80,14 @@ def measure_initial_brightness(
         Whether level 0 has one pattern, the all-on one.
     """
     captured = storage.read_manifest(0, "capture")
-    off, on = (captured[REFERENCE_BRACKETS][name] for name in ("black_frames", "floodlit_frames"))
-    n_random = captured.get(SYMMETRY, {}).get("symmetry_frames", 0)
+    off, on = (
+        captured[REFERENCE_BRACKETS][name] for name in ("all_off_brackets", "all_on_brackets")
+    )
+    n_random = captured.get(SYMMETRY, {}).get("symmetry_brackets", 0)
     channels = references.floodlit.shape[-1]
     ones = np.ones(channels), np.ones((n_random, channels))
     last = range(off + max(0, on - _LAST_BRACKETS), off + on)
-    with storage.frames(0, "capture", REFERENCE_BRACKETS) as frames:
+    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as frames:
         lights = [_light(references.merge(frames.read(n, n + 1), n)) for n in last]
     level_0 = _level_0_light(storage, references) if level_0_is_floodlit else None
     series = np.stack([light.total for light in (*lights, *([level_0] if level_0 else []))])
@@ -124,7 +126,7 @@ def divide_floodlit(references: ReferenceImages, brightness: Double) -> Referenc
 
 
 def _level_0_light(storage: Storage, references: ReferenceImages) -> _Light:
-    with storage.frames(0, "capture") as frames:
+    with storage.pictures(0, "capture") as frames:
         return _light(references.merge(frames.read(0, 1)))
 
 

@@ -225,7 +225,7 @@ def _check_saturation(share: float, sensor: Sensor, rig_kind: RigKind) -> None:
 def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> ReferenceImages:
     """Estimate the reference images from the captured reference brackets."""
     off, on = _bracket_counts(storage).values()
-    with storage.frames(0, "capture", REFERENCE_BRACKETS) as frames:
+    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as frames:
         brackets = (frames.read(index, index + 1) for index in range(off + on))
         black = islice(brackets, off)
         rig_kind = kind_of_rig(storage.read_manifest(0, "capture")["rig"])
@@ -234,7 +234,7 @@ def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> 
 
 def _bracket_counts(storage: Storage) -> dict[str, int]:
     captured = storage.read_manifest(0, "capture")[REFERENCE_BRACKETS]
-    return {name: captured[name] for name in ("black_frames", "floodlit_frames")}
+    return {name: captured[name] for name in ("all_off_brackets", "all_on_brackets")}
 
 
 def write_references(storage: Storage, references: ReferenceImages) -> dict[str, Any]:
@@ -259,7 +259,7 @@ def read_references(sensor: Sensor, storage: Storage) -> ReferenceImages:
     defects = None
     if "defects" in arrays:
         defects = DefectMap(arrays["defects"], counts["hot"], counts["dead"])
-    merger = BracketMerger(sensor, arrays["black"], counts["black_frames"], defects)
+    merger = BracketMerger(sensor, arrays["black"], counts["all_off_brackets"], defects)
     return ReferenceImages(merger, arrays["floodlit"], arrays["floodlit_variance"])
 
 

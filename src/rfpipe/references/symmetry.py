@@ -188,7 +188,7 @@ def measure_asymmetry(
     """
     if SYMMETRY not in storage.read_manifest(0, "capture"):
         return {}
-    with storage.frames(0, "capture", SYMMETRY) as frames:
+    with storage.pictures(0, "capture", SYMMETRY) as frames:
         count = frames.shape[0]
         merged = [references.merge(frames.read(index, index + 1), index) for index in range(count)]
     radiance = _flat(np.concatenate([picture.radiance for picture in merged]))
@@ -207,7 +207,7 @@ def measure_asymmetry(
     error = float(np.sqrt(max(error**2 - masked, 0)))
     place, excess = _place(signs, pictures, floodlit), _excess(pictures, floodlit)
     asymmetry = Asymmetry(error, standard_error, place, excess)
-    return {SYMMETRY: {**asdict(asymmetry), "frames": count}}
+    return {SYMMETRY: {**asdict(asymmetry), "brackets": count}}
 
 
 def read_asymmetry(storage: Storage) -> Asymmetry | None:

@@ -18,7 +18,7 @@ from rfpipe.report.inputs import seconds_spent
 from rfpipe.report.page import rendered
 from rfpipe.report.targets import ending_of, missed_target_texts
 from rfpipe.report.text import ray_size
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock, manifest_or_empty
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import last_estimate
@@ -242,7 +242,7 @@ def write_thumbnail(folder: Path, picture: Path) -> bool:
     if not merged or _modified(picture) > merged:
         return bool(merged)
     try:
-        floodlit = read_floodlit(AcquisitionFolder(folder))[0]
+        floodlit = read_floodlit(FolderStorage(folder))[0]
     except (RfpipeError, KeyError):
         return False
     # a light field is represented by its middle view

@@ -30,7 +30,7 @@ from rfpipe.stages.verification import (
     verify,
 )
 from rfpipe.storage.base import VERIFICATION
-from rfpipe.storage.memory import AcquisitionInMemory
+from rfpipe.storage.memory import MemoryStorage
 from rfpipe.transport import Transport
 
 if TYPE_CHECKING:
@@ -93,9 +93,9 @@ def acquire(
     method: str | MethodDescription = "symmetric",
     *,
     progress: bool = True,
-    black_frames: int = 8,
-    floodlit_frames: int = 64,
-    symmetry_frames: int = 6,
+    all_off_brackets: int = 8,
+    all_on_brackets: int = 64,
+    symmetry_brackets: int = 6,
     asymmetry: float = 0.05,
     mask_defects: bool = True,
     watch: WatchMode | None = None,
@@ -115,12 +115,12 @@ def acquire(
         ``module:Class`` or ``file.py:Class``, or a method itself.
     progress : bool
         Whether to show progress bars of captures and fits on stderr.
-    black_frames : int
+    all_off_brackets : int
         Number of all-off brackets, whose mean is subtracted; at least 1. Exact radiance takes one.
-    floodlit_frames : int
+    all_on_brackets : int
         Number of all-on brackets, to whose mean each level's images are scaled; at least 1. Exact
         radiance takes one.
-    symmetry_frames : int
+    symmetry_brackets : int
         Number of brackets of random patterns that measure whether the rig is coaxial, for methods
         that depend on it; at least 3, or 0 not to measure it.
     asymmetry : float
@@ -165,15 +165,15 @@ def acquire(
         verification = precautions.verification_pictures
     if divide_out_drift is None:
         divide_out_drift = precautions.divide_out_drift
-    _check(black_frames, floodlit_frames, symmetry_frames, verification, watch)
+    _check(all_off_brackets, all_on_brackets, symmetry_brackets, verification, watch)
     began = perf_counter()
-    description, storage = get_method(method), AcquisitionInMemory()
+    description, storage = get_method(method), MemoryStorage()
     shapes = rig.camera_shape, rig.projector_shape, rig.channels
     plan = Plan.of(description.name, description, *shapes, options, asymmetry)
     settings = AcquisitionSettings(
-        black_frames=black_frames,
-        floodlit_frames=floodlit_frames,
-        symmetry_frames=symmetry_frames if plan.measures_symmetry else 0,
+        all_off_brackets=all_off_brackets,
+        all_on_brackets=all_on_brackets,
+        symmetry_brackets=symmetry_brackets if plan.measures_symmetry else 0,
         check_interval=precautions.check_interval or PRECAUTIONS["remote"].check_interval,
         watch=watch,
         asymmetry=asymmetry,
@@ -196,7 +196,7 @@ def acquire(
 
 
 def _result(
-    acquisition: Acquisition, storage: AcquisitionInMemory, began: float, verification: int
+    acquisition: Acquisition, storage: MemoryStorage, began: float, verification: int
 ) -> AcquisitionResult:
     """Assemble the transport and, with a number of pictures, verify it."""
     levels = len(acquisition.state.rows)
@@ -234,16 +234,20 @@ def _verified(acquisition: Acquisition, transport: Transport, pictures: int) -> 
 
 
 def _check(
-    black_frames: int, floodlit_frames: int, symmetry_frames: int, verification: int, watch: str
+    all_off_brackets: int,
+    all_on_brackets: int,
+    symmetry_brackets: int,
+    verification: int,
+    watch: str,
 ) -> None:
     """Raise InputError for arguments of `acquire` that are out of range."""
-    if min(black_frames, floodlit_frames) < 1:
+    if min(all_off_brackets, all_on_brackets) < 1:
         raise InputError(
-            f"black_frames is {black_frames} and floodlit_frames {floodlit_frames}; "
+            f"all_off_brackets is {all_off_brackets} and all_on_brackets {all_on_brackets}; "
             "at least one of each is needed"
         )
-    if symmetry_frames < 0 or symmetry_frames in (1, 2):
-        raise InputError(f"symmetry_frames is {symmetry_frames}; 0, or 3 or more, are needed")
+    if symmetry_brackets < 0 or symmetry_brackets in (1, 2):
+        raise InputError(f"symmetry_brackets is {symmetry_brackets}; 0, or 3 or more, are needed")
     if watch not in get_args(WatchMode):
         raise InputError(f"watch is {watch!r}; expected one of {', '.join(get_args(WatchMode))}")
     if verification < 0:

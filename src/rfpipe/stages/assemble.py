@@ -12,7 +12,7 @@ from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.context import Acquisition
 from rfpipe.stages.normalize import masked_rays
 from rfpipe.storage.base import REFERENCE_IMAGES
-from rfpipe.storage.files import AcquisitionFolder, current_manifest
+from rfpipe.storage.files import FolderStorage, current_manifest
 from rfpipe.store import write_manifest
 from rfpipe.transport import Transport, save_transport
 from rfpipe.transport.filling import fill_from_transpose
@@ -22,7 +22,7 @@ from rfpipe.units import RADIANCE_UNIT
 def run(acquisition: Acquisition) -> None:
     """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest."""
     plan, storage, settings = acquisition.plan, acquisition.storage, acquisition.settings
-    assert isinstance(storage, AcquisitionFolder)
+    assert isinstance(storage, FolderStorage)
     levels = list(storage.levels())
     inputs = {
         "refine": [[level, storage.read_manifest(level, "refine")["digest"]] for level in levels],

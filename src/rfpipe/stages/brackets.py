@@ -18,7 +18,7 @@ from rfpipe.jobs.job import Progress
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import capture_batch
-from rfpipe.storage.base import Facts, Frames, Storage
+from rfpipe.storage.base import Facts, Storage, StoredPictures
 from rfpipe.text import counted
 
 Keys = list[tuple[int, ...]]
@@ -60,18 +60,18 @@ class BracketSet:
 
     def missing(self, storage: Storage, longest: int) -> list[tuple[int, int]]:
         """List the runs of brackets that aren't captured, of at most `longest`."""
-        return storage.missing_frames(self.level, self.part, self.count, longest)
+        return storage.missing_brackets(self.level, self.part, self.count, longest)
 
     def count_missing(self, storage: Storage) -> int:
         """Count the brackets that aren't captured."""
         return sum(last - first for first, last in self.missing(storage, max(1, self.count)))
 
-    def entry(self, frames: Frames) -> Facts:
+    def entry(self, frames: StoredPictures) -> Facts:
         """Describe the captured brackets for a manifest."""
         return {**frames.entry(), "fingerprint": self.fingerprint}
 
 
-class Watch(Protocol):
+class CheckPictureTaker(Protocol):
     """Takes check pictures between the patterns of a level; see `rfpipe.stages.watch`."""
 
     def due(self, first: int, last: int) -> range:
@@ -86,7 +86,7 @@ def capture_brackets(
     storage: Storage,
     brackets: BracketSet,
     batch: int,
-    watch: Watch | None = None,
+    watch: CheckPictureTaker | None = None,
     *,
     progress: bool = True,
 ) -> Facts:
@@ -96,7 +96,7 @@ def capture_brackets(
     ----------
     batch : int
         Patterns displayed, then stored, at a time.
-    watch : Watch, optional
+    watch : CheckPictureTaker, optional
         Takes check pictures between them.
 
     Raises
@@ -127,7 +127,12 @@ def capture_brackets(
 
 
 def _capture_batch(
-    rig: Rig, brackets: BracketSet, frames: Frames, start: int, stop: int, watch: Watch | None
+    rig: Rig,
+    brackets: BracketSet,
+    frames: StoredPictures,
+    start: int,
+    stop: int,
+    watch: CheckPictureTaker | None,
 ) -> None:
     """Capture and store brackets ``start:stop``, with the check pictures that are due."""
     checks = watch.due(start, stop) if watch else ()
@@ -139,10 +144,10 @@ def _capture_batch(
 
 def open_recording(
     rig: Rig, storage: Storage, brackets: BracketSet
-) -> AbstractContextManager[Frames]:
+) -> AbstractContextManager[StoredPictures]:
     """Open the store of brackets for writing; made if there is none."""
     shape, dtype = _layout(rig, brackets)
-    return storage.record_frames(
+    return storage.record_brackets(
         brackets.level, brackets.part, shape, dtype, brackets.fingerprint, brackets.settings
     )
 

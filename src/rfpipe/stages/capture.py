@@ -166,18 +166,20 @@ def bracket_sets(
 
     sets = []
     if level == 0:
-        black, floodlit = (1, 1) if is_exact else (settings.black_frames, settings.floodlit_frames)
+        black, floodlit = (
+            (1, 1) if is_exact else (settings.all_off_brackets, settings.all_on_brackets)
+        )
         patterns = partial(reference_patterns, shape, black)
-        counts = {"black_frames": black, "floodlit_frames": floodlit, "rig": described}
+        counts = {"all_off_brackets": black, "all_on_brackets": floodlit, "rig": described}
         sets.append(
             BracketSet(
                 level, REFERENCE_BRACKETS, "reference brackets", black + floodlit, counts, patterns
             )
         )
-    if level == 0 and settings.symmetry_frames:
-        frames = settings.symmetry_frames
+    if level == 0 and settings.symmetry_brackets:
+        frames = settings.symmetry_brackets
         patterns = partial(symmetry_patterns, shape, frames)
-        counts = {"symmetry_frames": frames, "rig": described}
+        counts = {"symmetry_brackets": frames, "rig": described}
         name = "brackets of random patterns"
         sets.append(BracketSet(level, SYMMETRY, name, frames, counts, patterns))
     shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
@@ -186,14 +188,16 @@ def bracket_sets(
 
 
 def reference_patterns(
-    projector_shape: tuple[int, ...], black_frames: int, first: int, last: int
+    projector_shape: tuple[int, ...], all_off_brackets: int, first: int, last: int
 ) -> tuple[NDArray[np.float32], Keys]:
     """Return reference patterns ``first:last``, the all-off ones before the others, and keys."""
     indices = range(first, last)
     patterns = np.zeros((len(indices), *projector_shape), np.float32)
-    patterns[max(0, black_frames - first) :] = 1
+    patterns[max(0, all_off_brackets - first) :] = 1
     keys: Keys = [
-        (BLACK_LEVEL_KEY, index) if index < black_frames else (FLOODLIT_KEY, index - black_frames)
+        (BLACK_LEVEL_KEY, index)
+        if index < all_off_brackets
+        else (FLOODLIT_KEY, index - all_off_brackets)
         for index in indices
     ]
     return patterns, keys
@@ -252,10 +256,10 @@ def _is_captured(storage: Storage, level: int, sets: list[BracketSet]) -> bool:
 
 def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: WatchMode) -> None:
     """Log what changed among the reference brackets; raise CaptureError where that is refused."""
-    camera, black = camera_model_of(sensor), captured["black_frames"]
+    camera, black = camera_model_of(sensor), captured["all_off_brackets"]
     if camera is None:
         return
-    with storage.partial_frames(0, REFERENCE_BRACKETS) as frames:
+    with storage.partial_brackets(0, REFERENCE_BRACKETS) as frames:
         count = frames.shape[0]
         samples = np.stack([sample_pixels(frames.read(n, n + 1)[0], count) for n in range(count)])
     for fault in faults_of_reference_brackets(samples[:black], samples[black:], camera):

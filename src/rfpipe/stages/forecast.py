@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rfpipe.units import RADIANCE, SYMMETRY_FRAMES
+from rfpipe.units import RADIANCE, SYMMETRY_BRACKETS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -60,8 +60,8 @@ def forecast(settings: Config) -> pd.DataFrame:
         scene_settings = settings.of_scene(scene)
         capture, sensor = scene_settings.capture, sensor_from_config(scene_settings.camera)
         is_exact = isinstance(sensor, ExactSensor)
-        n_further = 2 if is_exact else capture.black_frames + capture.floodlit_frames
-        n_further += plan.measures_symmetry * SYMMETRY_FRAMES
+        n_further = 2 if is_exact else capture.all_off_brackets + capture.all_on_brackets
+        n_further += plan.measures_symmetry * SYMMETRY_BRACKETS
         n_verification = scene_settings.verification_pictures
         has_check_pictures = n_verification > 0 and capture.precautions.check_interval > 0
         n_further += n_verification + 2 * has_check_pictures

@@ -21,7 +21,7 @@ from rfpipe.stages.settings import (
     AcquisitionSettings,
     operating_settings_from_text,
 )
-from rfpipe.storage.files import AcquisitionFolder, clear
+from rfpipe.storage.files import FolderStorage, clear
 from rfpipe.store import StoreLock
 
 _BEFORE_SYMMETRY = ("acquire", "schedule")
@@ -38,12 +38,12 @@ class StageJob:
         Snakemake's description of the job: wildcards, params, resources and threads.
     level : int
         Number of the level; 0 for jobs of no level.
-    storage : AcquisitionFolder
+    storage : FolderStorage
     """
 
     snakemake: Any
     level: int
-    storage: AcquisitionFolder
+    storage: FolderStorage
 
     def run(self, rule: str) -> None:
         """Run the stage of a rule."""
@@ -110,7 +110,7 @@ def stage_job(snakemake: Any) -> Iterator[StageJob]:
     """
     start(snakemake.log[0])
     wildcards = snakemake.wildcards
-    storage = AcquisitionFolder(Path("results", wildcards.scene, wildcards.method))
+    storage = FolderStorage(Path("results", wildcards.scene, wildcards.method))
     level = int(wildcards.get("level", 0))
     with StoreLock(storage.path):
         try:

@@ -226,7 +226,7 @@ def _merge_images(
     chunk = chunk_patterns(image_shape)
     total = ImageSum.zero(image_shape)
     with ExitStack() as stack:
-        frames = stack.enter_context(storage.frames(level, "capture"))
+        frames = stack.enter_context(storage.pictures(level, "capture"))
         count = frames.shape[0]
         pieces = merge_pieces(count, image_shape)
         # a run is a shard, so that no two workers ever write the same one

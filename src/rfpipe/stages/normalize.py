@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Float
 from rfpipe.methods import Method
 from rfpipe.patterns import Schedule
-from rfpipe.photometry.normalize import Mode, Normalization, apply, level_gain
+from rfpipe.photometry.normalize import LevelGain, apply, level_gain
 from rfpipe.provenance import fingerprint
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.references.reference_images import read_floodlit
@@ -22,6 +22,7 @@ from rfpipe.stages.context import Acquisition
 from rfpipe.stages.merge import read_level_sum
 from rfpipe.stages.schedule import read_schedule
 from rfpipe.storage.base import REFERENCE_IMAGES, SUMS, Storage
+from rfpipe.units import NormalizationMode
 
 
 @dataclass(frozen=True)
@@ -33,7 +34,7 @@ class NormalizedImages:
 
     schedule: Schedule
     frames: Any
-    normalization: Normalization
+    normalization: LevelGain
 
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Read normalized radiance and its variance of patterns ``first:last``."""
@@ -61,9 +62,9 @@ def normalize_level(
     level_sum: ImageSum,
     floodlit: tuple[Float, Float],
     dark_light: Float | None,
-    mode: Mode,
+    mode: NormalizationMode,
     significance: float,
-) -> Normalization:
+) -> LevelGain:
     """Compare the sum of a level's images with the floodlit image and its variance (thesis B.2).
 
     The predicted light of rays that the level leaves dark, `dark_light`, is first subtracted from
@@ -81,7 +82,7 @@ def normalize_level(
         return normalization
     covered = normalization.covered & (dark_light < expected)
     gain = np.where(covered, normalization.gain, np.float32(1))
-    return Normalization(gain, covered, mode)
+    return LevelGain(gain, covered, mode)
 
 
 def run(acquisition: Acquisition, level: int) -> None:
@@ -127,7 +128,7 @@ def run(acquisition: Acquisition, level: int) -> None:
     storage.write(level, "normalize", made_from, arrays, facts)
 
 
-def read_normalization(storage: Storage, level: int) -> Normalization:
+def read_normalization(storage: Storage, level: int) -> LevelGain:
     """Read the factors of a level; errors as `Storage.read`."""
     arrays, attributes = storage.read(level, "normalize")
-    return Normalization(arrays["gain"], arrays["covered"], attributes["facts"]["mode"])
+    return LevelGain(arrays["gain"], arrays["covered"], attributes["facts"]["mode"])

@@ -38,7 +38,7 @@ from rfpipe.stages.verification import (
     verification_schedule,
 )
 from rfpipe.storage.base import VERIFICATION, folder_name
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock
 
 if TYPE_CHECKING:
@@ -75,9 +75,9 @@ class OfflineAcquisition:
             )
 
     @property
-    def files(self) -> AcquisitionFolder:
+    def files(self) -> FolderStorage:
         """Storage of the acquisition."""
-        return AcquisitionFolder(self.folder)
+        return FolderStorage(self.folder)
 
     def rig(self) -> OfflineRig:
         """Return the rig of the settings, without pictures."""

@@ -44,7 +44,7 @@ def run(acquisition: Acquisition, level: int) -> Any:
         return None
     previous = acquisition.state_before(level)
     schedule, factors = read_schedule(storage, level), read_normalization(storage, level)
-    with storage.frames(level, "merge") as merged:
+    with storage.pictures(level, "merge") as merged:
         images: LevelImages = NormalizedImages(schedule, merged, factors)
         if schedule.count == 1 and schedule.complete:  # the floodlit image has far less noise
             floodlit, variance = (image[None] for image in read_floodlit(storage))

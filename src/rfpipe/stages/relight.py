@@ -17,7 +17,7 @@ from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.relighting import KINDS, picture_squares, relighting_pictures
-from rfpipe.storage.files import AcquisitionFolder, write_result
+from rfpipe.storage.files import FolderStorage, write_result
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport
@@ -292,7 +292,7 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
             "omissions": scene.omissions,
         }
     else:
-        floodlit, _ = read_floodlit(AcquisitionFolder(folder))
+        floodlit, _ = read_floodlit(FolderStorage(folder))
         arrays = relit_of_captured(transport, floodlit)
     made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
     facts = {

@@ -20,7 +20,7 @@ from rfpipe.rigs.messages import read_token
 from rfpipe.stages.settings import rig_source_settings
 from rfpipe.storage.base import REFERENCE_BRACKETS, Storage, level_name, rig_settings
 from rfpipe.storage.differences import differing
-from rfpipe.storage.files import AcquisitionFolder
+from rfpipe.storage.files import FolderStorage
 from rfpipe.storage.retake import Retake, is_complete
 
 if TYPE_CHECKING:
@@ -70,7 +70,7 @@ class OfflineSource:
         try:
             yield self.given
         except PicturesNeeded as needed:
-            assert isinstance(storage, AcquisitionFolder)
+            assert isinstance(storage, FolderStorage)
             raise PicturesNeeded(
                 f"{Path(*storage.path.parts[-2:])}: {level_name(level)} waits for pictures",
                 remedy="Write its patterns with 'rfpipe patterns CONFIG', take them, and read the "
@@ -114,7 +114,7 @@ class RemoteSource:
         CaptureError
             When the rig doesn't answer, has other rays, or didn't take the brackets so far.
         """
-        assert isinstance(storage, AcquisitionFolder)
+        assert isinstance(storage, FolderStorage)
         if self.placing:
             place_scene(self.placing, storage.path.parent.name)
         token = read_token(Path(self.token_file) if self.token_file else None)
@@ -190,14 +190,14 @@ def check_retakes(config: Config, retakes: Collection[Retake]) -> None:
     if config.capture.rig != "remote":
         return
     for path in dict.fromkeys(retake.folder.path for retake in retakes):
-        folder = AcquisitionFolder(path)
+        folder = FolderStorage(path)
         try:
             _check_retake(config, folder, may_change_rig=is_complete(retakes, folder))
         except CaptureError as error:
             raise CaptureError(f"{error}. --retake has set nothing aside") from error
 
 
-def _check_retake(config: Config, folder: AcquisitionFolder, *, may_change_rig: bool) -> None:
+def _check_retake(config: Config, folder: FolderStorage, *, may_change_rig: bool) -> None:
     """Check that the remote rig can take the pictures of an acquisition again."""
     scene = folder.path.parent.name
     capture = config.of_scene(scene).capture
@@ -237,21 +237,21 @@ def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
         )
 
 
-def _check_same_rig(rig: RemoteRig, folder: AcquisitionFolder) -> None:
+def _check_same_rig(rig: RemoteRig, folder: FolderStorage) -> None:
     """Refuse another rig than the one that took the brackets on disk."""
     recorded, described = _recorded_rig(folder), rig_settings(rig)
     if recorded not in (None, described):
         raise CaptureError(
             f"{rig.url}: the rig is not that of the patterns captured before ("
             f"{differing(recorded, described)}). Serve it with those settings, or "
-            f"begin anew with this rig: '{folder.retaking()}', with the run's other options"
+            f"begin anew with this rig: '{folder.retake_command()}', with the run's other options"
         )
 
 
-def _recorded_rig(folder: AcquisitionFolder) -> dict[str, Any] | None:
+def _recorded_rig(folder: FolderStorage) -> dict[str, Any] | None:
     """Description of the rig of the first brackets; None without any, or where they are damaged."""
     try:
-        with folder.partial_frames(0, REFERENCE_BRACKETS) as frames:
+        with folder.partial_brackets(0, REFERENCE_BRACKETS) as frames:
             return dict(frames.attributes["rig"]) if frames.done.any() else None
     except (StoreError, KeyError):
         return None

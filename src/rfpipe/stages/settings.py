@@ -6,12 +6,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from rfpipe.config.capture import NormalizationMode, WatchMode
+from rfpipe.config.capture import WatchMode
 from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
 from rfpipe.provenance import code_digest, source_digest
 from rfpipe.stages.plan import Plan
 from rfpipe.storage.base import WhenChanged
-from rfpipe.units import SYMMETRY_FRAMES, NumberFormat
+from rfpipe.units import SYMMETRY_BRACKETS, NormalizationMode, NumberFormat
 
 if TYPE_CHECKING:
     from rfpipe.config import Config, SceneSettings
@@ -25,9 +25,9 @@ class AcquisitionSettings:
     ----------
     code : str
         Digest of the code behind the stages, part of the fingerprints of all stages but captures.
-    black_frames, floodlit_frames : int
+    all_off_brackets, all_on_brackets : int
         All-off and all-on brackets with which level 0 begins; exact radiance takes one of each.
-    symmetry_frames : int
+    symmetry_brackets : int
         Brackets of random patterns after them, which measure the rig's symmetry; 0 for none.
     check_interval : int
         Patterns from one check picture to the next, 0 for no check pictures.
@@ -62,9 +62,9 @@ class AcquisitionSettings:
     """
 
     code: str = ""
-    black_frames: int = 8
-    floodlit_frames: int = 64
-    symmetry_frames: int = 0
+    all_off_brackets: int = 8
+    all_on_brackets: int = 64
+    symmetry_brackets: int = 0
     check_interval: int = 0
     batch_patterns: int = 16
     when_patterns_change: WhenChanged = "recapture"
@@ -83,7 +83,7 @@ class AcquisitionSettings:
 
 SETTINGS_OF_STAGE = {
     "schedule": ("code",),
-    "capture": ("black_frames", "floodlit_frames", "symmetry_frames", "check_interval"),
+    "capture": ("all_off_brackets", "all_on_brackets", "symmetry_brackets", "check_interval"),
     "merge": ("code", "mask_defects", "divide_out_drift"),
     "normalize": ("code", "normalization"),
     "refine": ("code",),
@@ -120,9 +120,9 @@ def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[
     capture = scene_config.capture
     settings = {
         "code": stage_code(config, scene, name),
-        "black_frames": capture.black_frames,
-        "floodlit_frames": capture.floodlit_frames,
-        "symmetry_frames": SYMMETRY_FRAMES if plan.measures_symmetry else 0,
+        "all_off_brackets": capture.all_off_brackets,
+        "all_on_brackets": capture.all_on_brackets,
+        "symmetry_brackets": SYMMETRY_BRACKETS if plan.measures_symmetry else 0,
         "check_interval": capture.precautions.check_interval,
         "mask_defects": scene_config.merge.mask_defects,
         "divide_out_drift": scene_config.divides_out_drift,

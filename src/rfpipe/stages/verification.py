@@ -35,7 +35,7 @@ from rfpipe.storage.base import (
     Storage,
     level_name,
 )
-from rfpipe.storage.files import AcquisitionFolder, write_result
+from rfpipe.storage.files import FolderStorage, write_result
 from rfpipe.store import read_manifest
 from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport
@@ -160,7 +160,7 @@ def run(context: CaptureContext, pictures: int) -> None:
         Number of pictures, at least 1.
     """
     storage = context.storage
-    assert isinstance(storage, AcquisitionFolder)
+    assert isinstance(storage, FolderStorage)
     schedule_pictures(storage, pictures)
     picture_context = verification_context(context, pictures)
     capture.run(picture_context, VERIFICATION)
@@ -168,7 +168,7 @@ def run(context: CaptureContext, pictures: int) -> None:
     _verify_and_write(storage, context.settings.code, context.settings.asymmetry)
 
 
-def schedule_pictures(folder: AcquisitionFolder, pictures: int) -> None:
+def schedule_pictures(folder: FolderStorage, pictures: int) -> None:
     """Write the verification patterns, unless they are written already."""
     folder.folder(VERIFICATION).mkdir(exist_ok=True)
     references = folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"]
@@ -196,7 +196,7 @@ def verification_context(context: CaptureContext, pictures: int) -> CaptureConte
     )
     settings = replace(
         context.settings,
-        symmetry_frames=0,
+        symmetry_brackets=0,
         batch_patterns=1,
         watch="warn" if is_watched else "off",
         check_interval=pictures,
@@ -209,7 +209,7 @@ def verify(storage: Storage, transport: Transport) -> Verification:
     """Relight a transport with the verification patterns, and compare with the merged pictures."""
     weights = read_schedule(storage, VERIFICATION).weights
     assert weights is not None
-    with storage.frames(VERIFICATION, "merge") as frames:
+    with storage.pictures(VERIFICATION, "merge") as frames:
         images = frames.read(0, len(weights))
     drift = storage.read_manifest(VERIFICATION, "merge").get(CHECK_PICTURES)
     gain = np.mean(drift["gain"], axis=0) if drift else np.ones(transport.channels)
@@ -295,7 +295,7 @@ def _errors(
     return [*(float(length / unit) for length in lengths), plain_error]
 
 
-def _verify_and_write(folder: AcquisitionFolder, code: str, asymmetry: float) -> None:
+def _verify_and_write(folder: FolderStorage, code: str, asymmetry: float) -> None:
     """Compare the stored transport with the merged pictures; log and write the result."""
     acquired = read_manifest(folder.path / "transport.json")
     merged = folder.read_manifest(VERIFICATION, "merge")
@@ -318,7 +318,7 @@ def _verify_and_write(folder: AcquisitionFolder, code: str, asymmetry: float) ->
     write_result(folder.path / VERIFICATION_MANIFEST, made_from, arrays, facts)
 
 
-def _log_result(folder: AcquisitionFolder, result: Verification) -> None:
+def _log_result(folder: FolderStorage, result: Verification) -> None:
     count, worst = len(result.table), result.worst
     if np.isnan(result.mean_error):
         text = "%s: not verified: none of %s has light above its noise on unmasked rays"
@@ -359,7 +359,7 @@ def _finite(number: float) -> float | None:
     return number if np.isfinite(number) else None
 
 
-def _capture_facts(folder: AcquisitionFolder, asymmetry: float) -> dict[str, Any]:
+def _capture_facts(folder: FolderStorage, asymmetry: float) -> dict[str, Any]:
     """Summarize changes and saturation of all captures; None without check pictures."""
     levels = [*folder.levels(), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}

@@ -30,7 +30,7 @@ from rfpipe.references.repeats import fault_of_repeats, gain_fault_of_repeats
 from rfpipe.rigs import Rig
 from rfpipe.rigs.faults import CAPTURE, NOTED, SIGNIFICANCE, moved_fault, room_fault
 from rfpipe.stages.brackets import BracketSet, Keys, open_recording, take_brackets
-from rfpipe.storage.base import CHECK_PICTURES, Frames, Storage, level_name
+from rfpipe.storage.base import CHECK_PICTURES, Storage, StoredPictures, level_name
 from rfpipe.units import CHECK_PICTURE_KEY
 
 _MAX_STEP = 0.01
@@ -98,7 +98,7 @@ def _interval(storage: Storage, level_brackets: BracketSet, interval: int) -> in
     if level_brackets.count_missing(storage) == level_brackets.count:
         return interval if level_brackets.count else 0
     try:
-        with storage.partial_frames(level_brackets.level, CHECK_PICTURES) as frames:
+        with storage.partial_brackets(level_brackets.level, CHECK_PICTURES) as frames:
             if frames.attributes.get("level_fingerprint") == level_brackets.fingerprint:
                 return int(frames.attributes["interval"])
     except IntegrityError:
@@ -122,7 +122,7 @@ class Watcher:
         None before level 0 is merged; check pictures are not compared then.
     check_brackets : BracketSet
         Brackets of the check pictures.
-    frames : Frames
+    frames : StoredPictures
         The check pictures so far, open for writing.
     interval : int
         Patterns from one check picture to the next.
@@ -135,7 +135,7 @@ class Watcher:
     level_brackets: BracketSet
     references: ReferenceImages | None
     check_brackets: BracketSet
-    frames: Frames
+    frames: StoredPictures
     interval: int
     is_refusing: bool
 

@@ -56,8 +56,8 @@ VERIFICATION_MANIFEST = "verification.json"
 WhenChanged = Literal["recapture", "refuse"]
 
 
-class Frames(Protocol):
-    """Brackets or merged images of a level, one item a pattern; see `rfpipe.store.FrameStore`."""
+class StoredPictures(Protocol):
+    """Brackets or merged images of a level, one item a pattern; see `rfpipe.store.PictureStore`."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -121,15 +121,15 @@ class Storage(Protocol):
     def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
         """Return the same as `read`, with arrays that are read when first used."""
 
-    def frames(
+    def pictures(
         self, level: int, stage: str, part: str | None = None
-    ) -> AbstractContextManager[Frames]:
+    ) -> AbstractContextManager[StoredPictures]:
         """Open the complete frames of a stage, or of a part."""
 
-    def partial_frames(self, level: int, part: str) -> AbstractContextManager[Frames]:
+    def partial_brackets(self, level: int, part: str) -> AbstractContextManager[StoredPictures]:
         """Open frames that may be incomplete; StoreError if there are none."""
 
-    def missing_frames(
+    def missing_brackets(
         self, level: int, part: str, count: int, longest: int
     ) -> list[tuple[int, int]]:
         """List the runs of the `count` frames that aren't captured, of at most `longest`."""
@@ -139,7 +139,7 @@ class Storage(Protocol):
     ) -> None:
         """Set aside frames of other settings, before frames of these settings are captured."""
 
-    def record_frames(
+    def record_brackets(
         self,
         level: int,
         part: str,
@@ -147,12 +147,12 @@ class Storage(Protocol):
         dtype: DTypeLike,
         fingerprint: str,
         settings: Facts,
-    ) -> AbstractContextManager[Frames]:
+    ) -> AbstractContextManager[StoredPictures]:
         """Open brackets for writing; made if there are none."""
 
     def record_images(
         self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]
-    ) -> AbstractContextManager[tuple[Frames, Any]]:
+    ) -> AbstractContextManager[tuple[StoredPictures, Any]]:
         """Open a level's merged images for writing, and a writer for any thread or process.
 
         `layout` is the number of patterns a chunk, and of chunks a file.

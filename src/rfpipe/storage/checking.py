@@ -25,7 +25,7 @@ from rfpipe.storage.files import BY_PRODUCTS
 from rfpipe.storage.repairs import RESTORE, Finding, Repair, is_acquisition, part_of, repair_of
 from rfpipe.storage.run_record import RUN_RECORD
 from rfpipe.store import (
-    FrameStore,
+    PictureStore,
     StoreLock,
     bytes_on_disk,
     header_is_whole,
@@ -356,7 +356,7 @@ def _check_frames(path: Path, checked: Checked) -> _StoreState:
         damage = f"its header, {METADATA} or its copy header.json, is damaged or missing"
         return _StoreState([damage], None)
     try:
-        store = FrameStore.open(path)
+        store = PictureStore.open(path)
         if not store.complete:
             absent = store.shape[0] - int(store.done.sum())
             damage = f"{absent} of {store.shape[0]} items are not in its journal"

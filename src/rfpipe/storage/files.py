@@ -36,7 +36,7 @@ from rfpipe.storage.base import (
     SYMMETRY,
     Arrays,
     Facts,
-    Frames,
+    StoredPictures,
     WhenChanged,
     folder_name,
     level_name,
@@ -45,8 +45,8 @@ from rfpipe.storage.base import (
 from rfpipe.storage.differences import differing
 from rfpipe.storage.space import check_space
 from rfpipe.store import (
-    FrameStore,
     ItemWriter,
+    PictureStore,
     StoreLock,
     bytes_on_disk,
     drop,
@@ -127,7 +127,7 @@ def write_files(manifest: Path, files: Iterable[Path]) -> None:
 
 
 @dataclass(frozen=True)
-class AcquisitionFolder:
+class FolderStorage:
     """Storage of an acquisition in the folder ``results/{scene}/{method}``.
 
     It implements `rfpipe.storage.base.Storage`.
@@ -212,30 +212,30 @@ class AcquisitionFolder:
         return LazyArrays(bundle.names, read), bundle.attributes
 
     @contextmanager
-    def frames(self, level: int, stage: str, part: str | None = None) -> Iterator[Frames]:
+    def pictures(self, level: int, stage: str, part: str | None = None) -> Iterator[StoredPictures]:
         """Open the complete frames of a stage or a part; checks and errors as in `read`."""
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
         path = self.store(level, part or stage)
-        with raising_damage_of(manifest), FrameStore.open(path.absolute()) as frames:
+        with raising_damage_of(manifest), PictureStore.open(path.absolute()) as frames:
             _check_digest(path, frames.digest(), expected[part] if part else expected)
             yield frames
 
-    def partial_frames(self, level: int, part: str) -> AbstractContextManager[FrameStore]:
+    def partial_brackets(self, level: int, part: str) -> AbstractContextManager[PictureStore]:
         """Open frames that may be incomplete; StoreError if there are none."""
         path = self.store(level, part).absolute()
         if path.exists():
             restore_header(path)
-        return FrameStore.open(path)
+        return PictureStore.open(path)
 
-    def missing_frames(
+    def missing_brackets(
         self, level: int, part: str, count: int, longest: int
     ) -> list[tuple[int, int]]:
         """List the runs of the `count` frames that aren't captured, of at most `longest`."""
         path = self.store(level, part)
         if not path.exists():
             return [(first, min(first + longest, count)) for first in range(0, count, longest)]
-        with FrameStore.open(path) as frames:
+        with PictureStore.open(path) as frames:
             return list(frames.missing(longest))
 
     def make_room(
@@ -269,7 +269,7 @@ class AcquisitionFolder:
                 text = "%s: captured with these settings before; taken from %s"
                 _log.warning(text, path, set_aside)
 
-    def record_frames(
+    def record_brackets(
         self,
         level: int,
         part: str,
@@ -277,25 +277,25 @@ class AcquisitionFolder:
         dtype: DTypeLike,
         fingerprint: str,
         settings: Facts,
-    ) -> AbstractContextManager[FrameStore]:
+    ) -> AbstractContextManager[PictureStore]:
         """Open a store of brackets for writing; made if there is none."""
         path = self.store(level, part)
-        frames = FrameStore.create(path, shape, dtype, fingerprint, settings)
+        frames = PictureStore.create(path, shape, dtype, fingerprint, settings)
         keep_header(path)
         return frames
 
     @contextmanager
     def record_images(
         self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]
-    ) -> Iterator[tuple[FrameStore, ItemWriter]]:
+    ) -> Iterator[tuple[PictureStore, ItemWriter]]:
         """Make a store of a level's merged images; provide it, and a writer for any process.
 
         A merge is quick beside its capture: an interrupted one starts from the beginning.
         """
         store = self.store(level, "merge").absolute()
-        FrameStore.discard(store)
+        PictureStore.discard(store)
         axes = {"axis 1": ["radiance", "variance"], "units": RADIANCE_UNIT}
-        with FrameStore.create(
+        with PictureStore.create(
             store, shape, RADIANCE, fingerprint, axes,
             items_per_chunk=layout[0], chunks_per_file=layout[1],
         ) as images:  # fmt: skip
@@ -311,9 +311,11 @@ class AcquisitionFolder:
         Raises StaleStoreError where the images are damaged or of other settings.
         """
         raw = self.store(level, "capture")
-        if not FrameStore.open(raw).dropped:
+        if not PictureStore.open(raw).dropped:
             return None
-        advice = f"To capture all levels again: '{self.retaking()}', with the run's other options"
+        advice = (
+            f"To capture all levels again: '{self.retake_command()}', with the run's other options"
+        )
         facts, fault = self._merged_facts(level)
         if not fault and facts["made_of"] != inputs:
             fault = (
@@ -341,7 +343,7 @@ class AcquisitionFolder:
             facts: Facts = {**sums.attributes["facts"], SUMS: sums.entry()}
             if level == 0:
                 open_arrays(self.store(0, REFERENCE_IMAGES)).read_all()
-            images = FrameStore.open(self.store(level, "merge"))
+            images = PictureStore.open(self.store(level, "merge"))
             is_whole = images.complete and not images.damaged()
         except LockedError:
             raise
@@ -394,7 +396,7 @@ class AcquisitionFolder:
         stores = [path.with_name("capture.zarr") for path in self.path.glob("*/merge.json")]
         return any(store.exists() and not is_dropped(store) for store in stores)
 
-    def retaking(self, level: int | None = None) -> str:
+    def retake_command(self, level: int | None = None) -> str:
         """Return the command that takes a level's pictures again; all levels' for None.
 
         It is for a shell in the run's folder, and needs the run's other options.
@@ -408,12 +410,12 @@ class AcquisitionFolder:
         level_advice = ""
         if level:
             level_advice = (
-                f"Or put back what changed: '{self.retaking(level)}' takes only this level "
+                f"Or put back what changed: '{self.retake_command(level)}' takes only this level "
                 "again, if the pattern looks as it did at first. "
             )
         return (
-            f"all captured pictures are kept. To start over: '{self.retaking()}', with the run's "
-            f"other options. {level_advice}capture.watch: warn continues despite it"
+            f"all captured pictures are kept. To start over: '{self.retake_command()}', with the "
+            f"run's other options. {level_advice}capture.watch: warn continues despite it"
         )
 
     def levels(self) -> Iterator[int]:
@@ -433,17 +435,17 @@ class AcquisitionFolder:
 
 def _is_set_aside(path: Path, fingerprint: str, settings: Facts, when_changed: WhenChanged) -> bool:
     """Rename a store of another fingerprint; return whether it has this fingerprint and stays."""
-    with FrameStore.open(path) as old:
+    with PictureStore.open(path) as old:
         if old.fingerprint == fingerprint:
             return True
         captured = int(old.done.sum())
     place = _name_aside(path, old.fingerprint)
     if captured and not _name_aside(path, fingerprint).exists():
         _refuse_or_warn(path, old, place, settings, when_changed)
-    FrameStore.discard(place)  # of a change that was undone before it was captured
+    PictureStore.discard(place)  # of a change that was undone before it was captured
     path.rename(place)
     if old.dropped or not captured:
-        FrameStore.discard(place)
+        PictureStore.discard(place)
     return False
 
 
@@ -452,7 +454,7 @@ def _name_aside(path: Path, fingerprint: str) -> Path:
 
 
 def _refuse_or_warn(
-    path: Path, old: FrameStore, place: Path, settings: Facts, when_changed: WhenChanged
+    path: Path, old: PictureStore, place: Path, settings: Facts, when_changed: WhenChanged
 ) -> None:
     """Refuse to capture patterns again whose settings changed, or warn of it."""
     changed, captured = differing(old.attributes, settings), int(old.done.sum())

@@ -19,10 +19,10 @@ from rfpipe.rigs.base import is_simulated
 from rfpipe.storage.base import Arrays, Facts, WhenChanged, level_name, rig_settings
 from rfpipe.units import RADIANCE
 
-# ruff: noqa: D102, ARG002 - methods and arguments as in Storage and Frames
+# ruff: noqa: D102, ARG002 - methods and arguments as in Storage and StoredPictures
 
 
-class AcquisitionInMemory:
+class MemoryStorage:
     """Storage of an acquisition that ends with its process; see `rfpipe.storage.base.Storage`.
 
     Raw frames are dropped once they are merged. States aren't stored: the loop passes them on.
@@ -37,7 +37,7 @@ class AcquisitionInMemory:
         self.seconds: dict[str, float] = defaultdict(float)
         self._arrays: dict[tuple[int, str], tuple[Arrays, Facts]] = {}
         self._manifests: dict[tuple[int, str], Facts] = {}
-        self._frames: dict[tuple[int, str], FramesInMemory] = {}
+        self._frames: dict[tuple[int, str], MemoryPictures] = {}
 
     def exists(self, level: int, stage: str) -> bool:
         return (level, stage) in self._manifests
@@ -74,17 +74,17 @@ class AcquisitionInMemory:
     def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
         return self.read(level, stage, part)
 
-    def frames(
+    def pictures(
         self, level: int, stage: str, part: str | None = None
-    ) -> AbstractContextManager[FramesInMemory]:
+    ) -> AbstractContextManager[MemoryPictures]:
         return nullcontext(self._frames[level, part or stage])
 
-    def partial_frames(self, level: int, part: str) -> AbstractContextManager[FramesInMemory]:
+    def partial_brackets(self, level: int, part: str) -> AbstractContextManager[MemoryPictures]:
         if (level, part) not in self._frames:
             raise StoreError(f"{level_name(level)}: no frames of {part} were captured")
         return nullcontext(self._frames[level, part])
 
-    def missing_frames(
+    def missing_brackets(
         self, level: int, part: str, count: int, longest: int
     ) -> list[tuple[int, int]]:
         return _runs(count, longest)
@@ -94,7 +94,7 @@ class AcquisitionInMemory:
     ) -> None:
         """Do nothing: an acquisition in memory captures each pattern once."""
 
-    def record_frames(
+    def record_brackets(
         self,
         level: int,
         part: str,
@@ -102,15 +102,15 @@ class AcquisitionInMemory:
         dtype: DTypeLike,
         fingerprint: str,
         settings: Facts,
-    ) -> AbstractContextManager[FramesInMemory]:
-        self._frames[level, part] = FramesInMemory(shape, dtype)
+    ) -> AbstractContextManager[MemoryPictures]:
+        self._frames[level, part] = MemoryPictures(shape, dtype)
         return nullcontext(self._frames[level, part])
 
     @contextmanager
     def record_images(
         self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]
-    ) -> Iterator[tuple[FramesInMemory, FramesInMemory]]:
-        images = self._frames[level, "merge"] = FramesInMemory(shape, RADIANCE)
+    ) -> Iterator[tuple[MemoryPictures, MemoryPictures]]:
+        images = self._frames[level, "merge"] = MemoryPictures(shape, RADIANCE)
         yield images, images
         del self._frames[level, "capture"]
 
@@ -150,8 +150,8 @@ class AcquisitionInMemory:
             yield level
 
 
-class FramesInMemory:
-    """Frames in memory; see `rfpipe.storage.base.Frames` and `rfpipe.store.ItemWriter`."""
+class MemoryPictures:
+    """Pictures in memory, as `rfpipe.storage.base.StoredPictures` and `rfpipe.store.ItemWriter`."""
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike) -> None:
         self.attributes: Facts = {}

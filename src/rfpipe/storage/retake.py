@@ -19,7 +19,7 @@ from rfpipe.storage.base import (
     VERIFICATION_FOLDER,
     VERIFICATION_MANIFEST,
 )
-from rfpipe.storage.files import AcquisitionFolder, with_followers
+from rfpipe.storage.files import FolderStorage, with_followers
 from rfpipe.store import StoreLock, is_dropped
 from rfpipe.text import similar_names
 
@@ -39,12 +39,12 @@ class Retake:
 
     Attributes
     ----------
-    folder : AcquisitionFolder
+    folder : FolderStorage
     level : int
         Number of the level, or VERIFICATION.
     """
 
-    folder: AcquisitionFolder
+    folder: FolderStorage
     level: int
 
     @property
@@ -165,7 +165,7 @@ def find_retakes(
     return list(retakes.values())
 
 
-def is_complete(retakes: Collection[Retake], folder: AcquisitionFolder) -> bool:
+def is_complete(retakes: Collection[Retake], folder: FolderStorage) -> bool:
     """Test whether retakes include all captured levels of an acquisition."""
     levels = {retake.level for retake in retakes if retake.folder.path == folder.path}
     captured = _captured(folder.path.parents[1])
@@ -183,7 +183,7 @@ def _captured(results: Path) -> Iterator[tuple[str, Retake]]:
         )
     )
     for path in sorted({store.parent for store in stores}):
-        folder, name = AcquisitionFolder(path.parent), "/".join(path.parts[-3:])
+        folder, name = FolderStorage(path.parent), "/".join(path.parts[-3:])
         if path.name == VERIFICATION_FOLDER:
             yield name, Retake(folder, VERIFICATION)
         elif path.name.startswith("L") and path.name[1:].isdigit():

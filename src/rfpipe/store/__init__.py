@@ -6,16 +6,16 @@ need it.
 
 from rfpipe.store.arrays import ArrayBundle, open_arrays, write_arrays
 from rfpipe.store.files import bytes_on_disk, to_disk
-from rfpipe.store.frames import FrameStore, drop, is_dropped
 from rfpipe.store.headers import header_is_whole, keep_header, restore_header
 from rfpipe.store.items import ItemWriter
 from rfpipe.store.lock import StoreLock
 from rfpipe.store.manifest import manifest_or_empty, read_manifest, write_manifest
+from rfpipe.store.pictures import PictureStore, drop, is_dropped
 
 __all__ = [
     "ArrayBundle",
-    "FrameStore",
     "ItemWriter",
+    "PictureStore",
     "StoreLock",
     "bytes_on_disk",
     "drop",

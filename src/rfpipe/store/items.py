@@ -122,7 +122,7 @@ class ItemArray(ChunkedArray):
 class ItemWriter(ItemArray):
     """Writer of items in a store that the caller or another process has opened for writing.
 
-    Items count as missing until the process that opened the store calls `FrameStore.enter`.
+    Items count as missing until the process that opened the store calls `PictureStore.enter`.
 
     Parameters
     ----------

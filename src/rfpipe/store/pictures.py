@@ -39,7 +39,7 @@ _DROPPED = "dropped.json"
 _log = logging.getLogger(__name__)
 
 
-class FrameStore:
+class PictureStore:
     """A zarr array whose first axis counts items (patterns), with a journal of captured items.
 
     An item counts as captured when it is in the journal, which it enters after its chunk is
@@ -106,7 +106,7 @@ class FrameStore:
         *,
         items_per_chunk: int = 1,
         chunks_per_file: int = 1,
-    ) -> FrameStore:
+    ) -> PictureStore:
         """Create a store, or resume an existing one; it is locked until `close`.
 
         A resumed store keeps its attributes and chunks. All its items are read and checked;
@@ -157,7 +157,7 @@ class FrameStore:
         return store
 
     @classmethod
-    def open(cls, path: Path) -> FrameStore:
+    def open(cls, path: Path) -> PictureStore:
         """Open a store for reading, with the items that are captured now.
 
         Raises StoreError if there is no store, IntegrityError if its metadata are damaged.
@@ -309,11 +309,11 @@ class FrameStore:
         finally:
             self._lock.release()
 
-    def __reduce__(self) -> tuple[type[FrameStore], tuple[Path]]:
+    def __reduce__(self) -> tuple[type[PictureStore], tuple[Path]]:
         """Pickle for reading in another process."""
         return type(self), (self.path,)
 
-    def __enter__(self) -> FrameStore:
+    def __enter__(self) -> PictureStore:
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -322,7 +322,7 @@ class FrameStore:
     def _open_journal(self) -> JournalWriter:
         if self._journal is None:
             raise StoreError(
-                "store isn't open for writing", place=self.path, remedy="use FrameStore.create"
+                "store isn't open for writing", place=self.path, remedy="use PictureStore.create"
             )
         return self._journal
 
@@ -395,7 +395,7 @@ def drop(path: Path) -> int:
         When metadata or journal are damaged.
     """
     with StoreLock(path):
-        store = FrameStore.open(path)
+        store = PictureStore.open(path)
         if not store.complete:
             raise IncompleteError(
                 "only the items of a complete store can be dropped",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tests.rigs.known_matrix import contents
 
 from rfpipe.errors import InputError, IntegrityError, LockedError, StaleStoreError, StoreError
-from rfpipe.store import FrameStore, ItemWriter, bytes_on_disk
+from rfpipe.store import ItemWriter, PictureStore, bytes_on_disk
 from rfpipe.units import COUNTS, RADIANCE
 
 SHAPE = (7, 2, 5, 6, 3)
@@ -27,9 +27,9 @@ def counts(shape: tuple[int, ...] = SHAPE, seed: int = 0) -> NDArray[np.uint16]:
     return np.random.default_rng(seed).integers(0, 4096, shape).astype(COUNTS)
 
 
-def create(path: Path, shape: tuple[int, ...] = SHAPE, **options: Any) -> FrameStore:
+def create(path: Path, shape: tuple[int, ...] = SHAPE, **options: Any) -> PictureStore:
     made = {"dtype": COUNTS, "fingerprint": "abc", "attributes": {}}
-    return FrameStore.create(path, shape, **{**made, **options})
+    return PictureStore.create(path, shape, **{**made, **options})
 
 
 def filled(path: Path, frames: NDArray[Any], **options: Any) -> str:
@@ -55,7 +55,7 @@ def test_frames_are_read_as_written(
     ) as store:
         store.write(3, frames[3:])
         store.write(0, frames[:3])
-    reader = FrameStore.open(path)
+    reader = PictureStore.open(path)
     assert reader.complete
     assert reader.done.all()
     assert reader.attributes == {"unit": "count", "exposures": [0.5, 1.0]}
@@ -77,19 +77,19 @@ def test_items_of_an_item_writer_count_after_they_are_entered(tmp_path: Path) ->
         writer = ItemWriter(path, "abc")
         digests = writer.write_items(2, frames[2:4])
         last = writer.write_items(6, frames[6:])
-        assert not FrameStore.open(path).done.any()
+        assert not PictureStore.open(path).done.any()
         store.enter(2, digests)
         store.enter(6, last)
         assert np.flatnonzero(store.done).tolist() == [2, 3, 6]
         np.testing.assert_array_equal(store.read(2, 4), frames[2:4])
         store.write(0, frames[:2])
         store.write(4, frames[4:6])
-    assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames, items_per_chunk=2)
+    assert PictureStore.open(path).digest() == filled(tmp_path / "plain", frames, items_per_chunk=2)
     assert contents(path)["journal.jsonl"] == contents(tmp_path / "plain")["journal.jsonl"]
     with pytest.raises(StaleStoreError, match="fingerprint is abc instead of old"):
         ItemWriter(path, "old")
     with pytest.raises(StoreError, match="isn't open for writing"):
-        FrameStore.open(path).enter(0, ["0" * 32])
+        PictureStore.open(path).enter(0, ["0" * 32])
 
 
 def test_a_shard_is_written_by_chunk_and_appears_when_complete(tmp_path: Path) -> None:
@@ -107,7 +107,7 @@ def test_a_shard_is_written_by_chunk_and_appears_when_complete(tmp_path: Path) -
         assert store.missing() == [(0, 4)]
         store.write(0, frames[:4])
         np.testing.assert_array_equal(store.read(1, 6), frames[1:6])
-    assert FrameStore.open(path).digest() == filled(tmp_path / "plain", frames)
+    assert PictureStore.open(path).digest() == filled(tmp_path / "plain", frames)
 
 
 def test_large_frames_compress_to_reproducible_bytes(tmp_path: Path) -> None:
@@ -127,7 +127,7 @@ def test_black_frames_and_empty_stores_count_as_captured(tmp_path: Path) -> None
             assert store.missing() == []
             assert store.digest() == digest
         assert len(list(path.glob("c.*"))) == items
-        np.testing.assert_array_equal(FrameStore.open(path).read(0, items), black)
+        np.testing.assert_array_equal(PictureStore.open(path).read(0, items), black)
 
 
 def test_missing_runs_are_ordered_and_cut_to_whole_chunks(tmp_path: Path) -> None:
@@ -158,7 +158,7 @@ def test_a_reader_sees_what_is_captured_while_another_writes(tmp_path: Path) -> 
     frames = counts()
     with create(tmp_path / "s") as store:
         store.write(0, frames[:3])
-        reader = FrameStore.open(tmp_path / "s")
+        reader = PictureStore.open(tmp_path / "s")
         np.testing.assert_array_equal(reader.read(0, 3), frames[:3])
         assert not reader.complete
         with pytest.raises(StoreError, match="item 3 isn't captured yet; 3 of 7 are"):
@@ -191,7 +191,7 @@ def test_damage_is_named_and_repaired_by_the_next_writer(
     )
     if damage == "removed":
         chunk.unlink()
-    reader = FrameStore.open(path)
+    reader = PictureStore.open(path)
     np.testing.assert_array_equal(reader.read(0, first), frames[:first])
     with pytest.raises(IntegrityError, match="Run the stage that writes") as caught:
         reader.read(1, 7)
@@ -214,7 +214,7 @@ def test_a_truncated_journal_line_is_ignored(
     intact = contents(path)
     (path / "journal.jsonl").write_bytes(intact["journal.jsonl"][:-cut])
     first = (8 - lost_items) // items_per_chunk * items_per_chunk
-    np.testing.assert_array_equal(np.flatnonzero(~FrameStore.open(path).done), range(first, 8))
+    np.testing.assert_array_equal(np.flatnonzero(~PictureStore.open(path).done), range(first, 8))
     with create(path, frames.shape) as store:
         assert store.missing() == [(first, 8)]
         store.write(first, frames[first:])
@@ -264,7 +264,7 @@ def test_a_second_writer_is_refused(tmp_path: Path) -> None:
         with pytest.raises(LockedError, match=r"process \d+ is writing this store"):
             create(tmp_path / "s")
         with pytest.raises(LockedError, match="wait until it ends"):
-            FrameStore.discard(tmp_path / "s")
+            PictureStore.discard(tmp_path / "s")
         store.write(2, frames[2:])
         assert store.complete
         with pytest.raises(StoreError, match="item 4 is captured already"):
@@ -290,8 +290,8 @@ def test_a_stale_store_is_refused_until_discarded(
     with pytest.raises(StaleStoreError, match=named):
         create(tmp_path / "s", **change)
     assert contents(tmp_path / "s") == intact
-    FrameStore.discard(tmp_path / "s")
-    FrameStore.discard(tmp_path / "s")  # a missing store can be discarded
+    PictureStore.discard(tmp_path / "s")
+    PictureStore.discard(tmp_path / "s")  # a missing store can be discarded
     assert list(tmp_path.iterdir()) == []
     with create(tmp_path / "s", **change) as store:
         assert not store.done.any()
@@ -318,21 +318,21 @@ def test_threads_share_a_store(tmp_path: Path) -> None:
     frames = counts((60, 8, 8))
     with create(tmp_path / "s", frames.shape) as store, ThreadPoolExecutor(4) as pool:
         list(pool.map(lambda start: store.write(start, frames[start : start + 5]), range(0, 60, 5)))
-    reader = FrameStore.open(tmp_path / "s")
+    reader = PictureStore.open(tmp_path / "s")
     with ThreadPoolExecutor(4) as pool:
         blocks = list(pool.map(lambda start: reader.read(start, start + 10), range(0, 60, 10)))
     np.testing.assert_array_equal(np.concatenate(blocks), frames)
 
 
 def test_other_files_are_named_and_not_replaced(tmp_path: Path) -> None:
-    for opening in (FrameStore.open, lambda path: ItemWriter(path, "abc")):
+    for opening in (PictureStore.open, lambda path: ItemWriter(path, "abc")):
         with pytest.raises(StoreError, match="no store of frames") as caught:
             opening(tmp_path / "absent")
         assert caught.value.place == tmp_path / "absent"
         assert caught.value.remedy == "run the stage that writes it"
     zarr.create_array(tmp_path / "foreign", shape=(2, 2), dtype="u2", attributes={"kind": "x"})
     with pytest.raises(StoreError, match="store of another kind than 'frames': 'x'"):
-        FrameStore.open(tmp_path / "foreign")
+        PictureStore.open(tmp_path / "foreign")
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "holiday.jpg").write_bytes(b"jpg")
     with pytest.raises(InputError, match="other than a store exists here"):
@@ -346,8 +346,8 @@ def test_other_files_are_named_and_not_replaced(tmp_path: Path) -> None:
 def test_damaged_metadata_are_named(tmp_path: Path, content: bytes) -> None:
     filled(tmp_path / "s", counts())
     (tmp_path / "s" / "zarr.json").write_bytes(content)
-    for opening in (FrameStore.open, create):
+    for opening in (PictureStore.open, create):
         with pytest.raises(IntegrityError, match="damaged metadata") as caught:
             opening(tmp_path / "s")
         assert caught.value.place == tmp_path / "s" / "zarr.json"
-    FrameStore.discard(tmp_path / "s")  # and the store is not locked
+    PictureStore.discard(tmp_path / "s")  # and the store is not locked
