@@ -1,6 +1,7 @@
 """An emulator of TI's DLPC900 controller, byte by byte, from its programmer's guide (DLPU018J)."""
 
 from collections.abc import Callable
+from io import BytesIO
 from struct import unpack, unpack_from
 
 import numpy as np
@@ -134,41 +135,37 @@ class Emulator:
         width, height, size = unpack("<HHI", image[4:12])
         assert (height, width) == self.shape
         assert image[25] == 2, "enhanced run-length encoding"
-        data = image[48:]
-        assert len(data) == size
+        data = BytesIO(image[48:])
+        assert len(image) == 48 + size
         pixels = np.zeros((height * width, 3), np.uint32)
-        at = done = 0
-
-        def number() -> int:
-            nonlocal at
-            first = data[at]
-            at += 1
-            if first < 128:
-                return first
-            at += 1
-            return first & 0x7F | data[at - 1] << 7
-
+        done = 0
         while True:
-            count = number()
+            count = _number(data)
             if count:
                 assert count > 1
-                pixels[done : done + count] = list(data[at : at + 3])
-                at, done = at + 3, done + count
+                pixels[done : done + count] = list(data.read(3))
+                done += count
                 continue
-            count = number()
+            count = _number(data)
             if count == 0:
                 done += -done % width
             elif count == 1:
-                copied = number()
+                copied = _number(data)
                 if copied == 0:
                     break
                 pixels[done : done + copied] = pixels[done - width : done - width + copied]
                 done += copied
             else:
-                literal = np.frombuffer(data, np.uint8, 3 * count, at).reshape(count, 3)
+                literal = np.frombuffer(data.read(3 * count), np.uint8).reshape(count, 3)
                 pixels[done : done + count] = literal
-                at, done = at + 3 * count, done + count
+                done += count
         assert done == height * width
-        assert at == len(data)
+        assert not data.read()
         red, green, blue = pixels.T
         return (red << 16 | green << 8 | blue).reshape(height, width)
+
+
+def _number(data: BytesIO) -> int:
+    """Read a number of one byte, or of two if the first one has its highest bit set."""
+    first = data.read(1)[0]
+    return first if first < 128 else first & 0x7F | data.read(1)[0] << 7

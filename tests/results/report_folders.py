@@ -3,6 +3,7 @@
 import base64
 from collections.abc import Iterable
 from html.parser import HTMLParser
+from itertools import product
 from pathlib import Path
 
 from rfpipe.config import Config
@@ -100,14 +101,12 @@ def tables_of(results: Path) -> tuple[Path, Path]:
 
 def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) -> None:
     """Write benchmark files as Snakemake does: one second per job, 20 pictures per capture."""
-    for scene in scenes:
-        for method in methods:
-            folder = results / scene / method
+    for scene, method in product(scenes, methods):
+        folder = results / scene / method
+        for level in ("L00", "L01"):
+            (folder / level).mkdir(exist_ok=True)
             for stage in ("schedule", "capture", "merge", "normalize", "refine"):
-                for level in ("L00", "L01"):
-                    (folder / level).mkdir(exist_ok=True)
-                    path = folder / level / f"{stage}.benchmark.tsv"
-                    path.write_text("s\th:m:s\tmax_rss\n1.0\t0:00:01\t50\n")
-            for level in ("L00", "L01"):
-                write_manifest(folder / level / "capture.json", {"patterns": 20})
-            (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")
+                path = folder / level / f"{stage}.benchmark.tsv"
+                path.write_text("s\th:m:s\tmax_rss\n1.0\t0:00:01\t50\n")
+            write_manifest(folder / level / "capture.json", {"patterns": 20})
+        (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")

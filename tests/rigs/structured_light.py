@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates, shift
 
 from rfpipe.fitting.codes import code_patterns
+
+Image = NDArray[Any]
 
 
 @dataclass(frozen=True)
@@ -25,26 +29,12 @@ class Shot:
         return (self.patterns, self.pictures, self.camera_shape, self.projector_shape, self.names)
 
 
-def shot(
-    projector: tuple[int, int],
-    camera: tuple[int, int],
-    seed: int,
-    *,
-    name: str = "gray:{1}x{0},white=last",
-    count: int | None = None,
-    indirect: float = 0.15,
-    noise: float = 0.01,
-    blur: float = 0.5,
-    darkening: float = 0.0,
-    moved: tuple[int, float, float] = (0, 0.0, 0.0),
-    flicker: float = 0.0,
-) -> Shot:
-    """Simulate pictures in 8 bits.
+@dataclass(frozen=True)
+class Light:
+    """Light and faults of simulated pictures.
 
-    Parameters
+    Attributes
     ----------
-    projector, camera : (int, int)
-        Sizes in pixels.
     indirect : float
         Fraction of light that is indirect and uniform.
     noise : float
@@ -58,6 +48,40 @@ def shot(
     flicker : float
         Standard deviation of the lamp's light, relative.
     """
+
+    indirect: float = 0.15
+    noise: float = 0.01
+    blur: float = 0.5
+    darkening: float = 0.0
+    moved: tuple[int, float, float] = (0, 0.0, 0.0)
+    flicker: float = 0.0
+
+    def picture(
+        self, index: int, pattern: Image, place: Image, white: Image, random: np.random.Generator
+    ) -> Image:
+        """Return picture `index`, of a pattern, for positions and floodlit light per pixel."""
+        blurred = gaussian_filter(pattern, self.blur)
+        edges = np.abs(np.diff(pattern, axis=0)).mean() + np.abs(np.diff(pattern, axis=1)).mean()
+        direct = map_coordinates(blurred, place, order=1, mode="constant")
+        light = white * ((1 - self.indirect) * direct + self.indirect * pattern.mean())
+        light *= 1 - 2 * self.darkening * edges
+        if index >= self.moved[0]:
+            light = shift(light, self.moved[1:], order=1, mode="nearest")
+        light = light * (1 + self.flicker * random.standard_normal())
+        light = light + self.noise * random.standard_normal(light.shape)
+        return np.clip(np.round(255 * (light + 0.05)), 0, 255) / 255 - 0.05
+
+
+def shot(
+    projector: tuple[int, int],
+    camera: tuple[int, int],
+    seed: int,
+    *,
+    name: str = "gray:{1}x{0},white=last",
+    count: int | None = None,
+    **light: Any,
+) -> Shot:
+    """Simulate pictures in 8 bits; `light` has the attributes of `Light`."""
     random = np.random.default_rng(seed)
     spec = name.format(*projector)
     if count is None:
@@ -76,16 +100,7 @@ def shot(
     white /= white.max() / 0.9
     pictures = np.empty((count, *camera), np.float32)
     for index, pattern in enumerate(stack):
-        blurred = gaussian_filter(pattern, blur)
-        edges = np.abs(np.diff(pattern, axis=0)).mean() + np.abs(np.diff(pattern, axis=1)).mean()
-        direct = map_coordinates(blurred, place, order=1, mode="constant")
-        light = white * ((1 - indirect) * direct + indirect * pattern.mean())
-        light *= 1 - 2 * darkening * edges
-        if index >= moved[0]:
-            light = shift(light, moved[1:], order=1, mode="nearest")
-        light = light * (1 + flicker * random.standard_normal())
-        light = light + noise * random.standard_normal(camera)
-        pictures[index] = np.clip(np.round(255 * (light + 0.05)), 0, 255) / 255 - 0.05
+        pictures[index] = Light(**light).picture(index, pattern, place, white, random)
     names = [f"{index + 1:02d}.png" for index in range(count)]
     return Shot(
         stack.reshape(count, -1), pictures.reshape(count, -1), camera, projector, names,

@@ -99,63 +99,76 @@ class Faults:
         return [path for method, path, *_ in self.requests if method == "PUT"]
 
 
+class _ProxyHandler(BaseHTTPRequestHandler):
+    """Passes requests on to the server at `host`, with the faults of `faults`."""
+
+    protocol_version = "HTTP/1.1"
+    faults: Faults
+    host: str
+
+    def process(self) -> None:
+        self.faults.under_way.add(threading.get_ident())
+        try:
+            length = int(self.headers.get("Content-Length", 0))
+            is_write = self.command in ("PUT", "POST")
+            if not (is_write and self.has_failed(length)):
+                self.pass_on(length)
+        finally:
+            self.faults.under_way.remove(threading.get_ident())
+
+    do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = process  # noqa: N815
+
+    def has_failed(self, length: int) -> bool:
+        """Simulate the fault of a write, if there is one."""
+        faults = self.faults
+        while faults.limit is not None and len(faults.written()) >= faults.limit:
+            time.sleep(0.01)
+        if faults.cut:
+            faults.cut -= 1
+            self.rfile.read(length // 2)
+            self.connection.shutdown(socket.SHUT_RDWR)
+            self.close_connection = True
+            return True
+        if faults.deny or faults.fail:
+            self.rfile.read(length)
+            faults.fail -= 0 if faults.deny else 1
+            code = "AccessDenied" if faults.deny else "InternalError"
+            text = f"<Error><Code>{code}</Code><Message>Not now</Message></Error>"
+            self.answer(403 if faults.deny else 500, {}, text.encode())
+            return True
+        return False
+
+    def pass_on(self, length: int) -> None:
+        content = self.rfile.read(length)
+        connection = http.client.HTTPConnection(self.host, timeout=30)
+        connection.request(self.command, self.path, content, dict(self.headers))
+        response = connection.getresponse()
+        received = response.read()
+        self.faults.requests.append((self.command, self.path, len(content), len(received)))
+        self.answer(response.status, dict(response.getheaders()), received)
+        connection.close()
+
+    def answer(self, status: int, headers: dict[str, str], content: bytes) -> None:
+        self.send_response(status)
+        for name, value in headers.items():
+            if name.lower() not in _HOP:
+                self.send_header(name, value)
+        self.send_header("Content-Length", headers.get("Content-Length", str(len(content))))
+        self.end_headers()
+        if self.command != "HEAD":
+            self.wfile.write(content)
+
+    def log_message(self, *_: object) -> None:
+        pass
+
+
 @contextmanager
 def proxy(server: str) -> Iterator[Faults]:
-    """Pass requests on to an S3 server."""
-    faults = Faults()
-    host = server.removeprefix("http://")
+    """Pass requests on to an S3 server, with the faults that the yielded object states."""
 
-    class Handler(BaseHTTPRequestHandler):
-        protocol_version = "HTTP/1.1"
+    class Handler(_ProxyHandler):
+        faults = Faults()
+        host = server.removeprefix("http://")
 
-        def in_hand(self) -> None:
-            faults.under_way.add(threading.get_ident())
-            try:
-                self.pass_on()
-            finally:
-                faults.under_way.remove(threading.get_ident())
-
-        def pass_on(self) -> None:
-            length = int(self.headers.get("Content-Length", 0))
-            if self.command in ("PUT", "POST"):
-                while faults.limit is not None and len(faults.written()) >= faults.limit:
-                    time.sleep(0.01)
-                if faults.cut:
-                    faults.cut -= 1
-                    self.rfile.read(length // 2)
-                    self.connection.shutdown(socket.SHUT_RDWR)
-                    self.close_connection = True
-                    return
-                if faults.deny or faults.fail:
-                    self.rfile.read(length)
-                    faults.fail -= 0 if faults.deny else 1
-                    code = "AccessDenied" if faults.deny else "InternalError"
-                    text = f"<Error><Code>{code}</Code><Message>Not now</Message></Error>"
-                    self.answer(403 if faults.deny else 500, {}, text.encode())
-                    return
-            content = self.rfile.read(length)
-            onward = http.client.HTTPConnection(host, timeout=30)
-            onward.request(self.command, self.path, content, dict(self.headers))
-            answered = onward.getresponse()
-            received = answered.read()
-            faults.requests.append((self.command, self.path, len(content), len(received)))
-            self.answer(answered.status, dict(answered.getheaders()), received)
-            onward.close()
-
-        do_GET = do_PUT = do_POST = do_HEAD = do_DELETE = in_hand  # noqa: N815
-
-        def answer(self, status: int, headers: dict[str, str], content: bytes) -> None:
-            self.send_response(status)
-            for name, value in headers.items():
-                if name.lower() not in _HOP:
-                    self.send_header(name, value)
-            self.send_header("Content-Length", headers.get("Content-Length", str(len(content))))
-            self.end_headers()
-            if self.command != "HEAD":
-                self.wfile.write(content)
-
-        def log_message(self, *_: object) -> None:
-            pass
-
-    with listening(Handler) as faults.endpoint:
-        yield faults
+    with listening(Handler) as Handler.faults.endpoint:
+        yield Handler.faults

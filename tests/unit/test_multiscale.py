@@ -33,21 +33,23 @@ def spline(distance: float) -> float:
     return (1.5 - distance) ** 2 / 2 if distance < 1.5 else 0.0
 
 
+def weight_of(scale: int, row: int, column: int, y: int, x: int) -> float:
+    """Return the value of a function at the pixel (y, x), by its definition."""
+    if scale == 1:
+        return float((y, x) == (row, column))
+    down, across = (y + 0.5) / scale - (row - 0.5), (x + 0.5) / scale - (column - 0.5)
+    return spline(down) * spline(across)
+
+
 @pytest.mark.parametrize("shape", SHAPES)
 def test_weights_are_b_splines_about_the_centres(shape: tuple[int, ...]) -> None:
     basis = MultiscaleBasis(shape, some_functions(shape))
     expected = np.zeros((int(np.prod(shape)), len(basis)))
     height, width = shape[-2:]
     for index, (scale, view, row, column) in enumerate(basis.functions.tolist()):
-        for y in range(height):
-            for x in range(width):
-                if scale == 1:
-                    value = float((y, x) == (row, column))
-                else:
-                    down = (y + 0.5) / scale - (row - 0.5)
-                    across = (x + 0.5) / scale - (column - 0.5)
-                    value = spline(down) * spline(across)
-                expected[(view * height + y) * width + x, index] = value
+        for y, x in np.ndindex(height, width):
+            value = weight_of(scale, row, column, y, x)
+            expected[(view * height + y) * width + x, index] = value
     np.testing.assert_allclose(basis.weights.toarray(), expected, atol=1e-6)
     np.testing.assert_array_equal(basis.sums.toarray(), basis.weights.toarray().T)
     assert basis.weights.dtype == basis.sums.dtype == np.float32

@@ -119,7 +119,7 @@ def test_the_command_prompts_once_for_licence_and_creators(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("kept", "says"),
+    ("stored", "says"),
     [
         ({"license": "CC BY 4.0"}, r"'CC BY 4.0'; it should be .* SPDX .*did you mean CC-BY-4.0\?"),
         ({"license": "cc-by"}, r"did you mean CC-BY-4.0\?"),
@@ -184,16 +184,21 @@ OWN = {
 }
 
 
-def test_user_files_are_published_at_the_paths_in_the_settings(run: Path, tmp_path: Path) -> None:
+def write_user_files(run: Path, far: Path) -> None:
+    """Write user files in the run's folder and in a folder far away from it."""
     for name, content in OWN.items():
         (run / name).parent.mkdir(exist_ok=True)
         (run / name).write_text(content)
-    far = tmp_path / "far away"
     far.mkdir()
     (far / "room.xml").write_text(OWN["scenes/box.xml"].replace("../meshes/a", "b"))
     (far / "lamp.xml").write_text("<scene/>")
     (far / "b.ply").write_text("another mesh")
     (far / "gone.xml").write_text(f"<a value='{far / 'b.ply'}'/>")
+
+
+def test_user_files_are_published_at_the_paths_in_the_settings(run: Path, tmp_path: Path) -> None:
+    far = tmp_path / "far away"
+    write_user_files(run, far)
     results = run / "results/report/results.json"
     report = json.loads(results.read_bytes())
     report["provenance"]["configuration"] |= {

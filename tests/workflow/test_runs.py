@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import product
 from pathlib import Path
 
 import pytest
@@ -17,13 +18,12 @@ def test_every_stage_of_every_level_has_a_manifest(undisturbed: Workflow) -> Non
         levels = list(folder.levels())
         # the last schedule has no patterns: the acquisition is complete
         assert len(levels) + 1 == len(list(folder.path.glob("L*"))) > 3
-        for level in levels:
-            for stage in STAGES:
-                stated = {"stage", "level", "units"}
-                stated |= {"shown"} if stage == "schedule" else {"digest", "fingerprint"}
-                assert stated <= set(folder.read_manifest(level, stage))
-                for suffix in (".log", ".benchmark.tsv"):
-                    assert folder.manifest(level, stage).with_suffix(suffix).exists()
+        for level, stage in product(levels, STAGES):
+            stated = {"stage", "level", "units"}
+            stated |= {"shown"} if stage == "schedule" else {"digest", "fingerprint"}
+            assert stated <= set(folder.read_manifest(level, stage))
+            for suffix in (".log", ".benchmark.tsv"):
+                assert folder.manifest(level, stage).with_suffix(suffix).exists()
         assert open_transport(undisturbed.path(f"tiny/{method}/transport.zarr")).channels == 3
 
 
