@@ -1,4 +1,4 @@
-"""Types of arrays, by their numbers."""
+"""Types of arrays, by the type of their elements."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,5 +17,8 @@ Counts = NDArray[np.uint16]
 Codes = NDArray[np.uint8]
 """Codes of a projector's frame buffer."""
 
-Functions = NDArray[np.int32]
-"""Numbers of basis functions of a `rfpipe.transport.multiscale` transport."""
+Numbers = NDArray[np.int32]
+"""Numbers of basis functions or of wavelets, such as the first of each pair."""
+
+FunctionTable = NDArray[np.int32]
+"""Table of basis functions, (n, 4), see `rfpipe.transport.multiscale.MultiscaleBasis`."""

@@ -100,15 +100,15 @@ class RayDomain:
         """Number of views, height and width: the shape of all images as one array."""
         return self.views, *self.image_shape
 
-    def squares(self, side: int) -> tuple[tuple[int, int, int], NDArray[np.int64]]:
-        """Divide the rays into squares, which may be smaller at the end of an image.
+    def square_cells(self, side: int) -> tuple[tuple[int, int, int], NDArray[np.int64]]:
+        """Divide the rays into square cells, which may be smaller at the end of an image.
 
         Returns
         -------
         grid : tuple of int
-            Views, rows and columns of squares.
-        square : ndarray of int64, shape (size,)
-            Number of the square of each ray, in C order of the grid.
+            Views, rows and columns of cells.
+        cell : ndarray of int64, shape (size,)
+            Number of each ray's cell, in C order of the grid.
         """
         view, row, column = np.indices(self.stack_shape, np.int64).reshape(3, -1)
         height, width = self.image_shape

@@ -16,7 +16,8 @@ from rfpipe.provenance import generator
 KINDS = ("shapes", "bars", "spots")
 """Kinds of relit pictures, one third each."""
 
-_LEAST_REFERENCE = 0.5  # least norm that errors are relative to, over the typical norm
+# Least norm that errors are relative to, over the typical norm of a picture of as many lit pixels.
+_LEAST_REFERENCE = 0.5
 
 
 def relighting_pictures(shape: tuple[int, ...], count: int, seed: int = 0) -> NDArray[np.float32]:
@@ -91,7 +92,7 @@ def shapes(shape: tuple[int, int], random: np.random.Generator, lit: float | Non
 
 def bar(shape: tuple[int, int], random: np.random.Generator) -> Bools:
     """Draw a bar, 2 pixels to half the image wide, or with probability 1/2 a half plane."""
-    position = across(shape, random.uniform(0, 2 * np.pi))
+    position = position_along(shape, random.uniform(0, 2 * np.pi))
     centre = position.ravel()[random.integers(position.size)]
     if random.random() < 0.5:
         return np.asarray(position >= centre)
@@ -99,8 +100,8 @@ def bar(shape: tuple[int, int], random: np.random.Generator) -> Bools:
     return np.asarray(np.abs(position - centre) <= width / 2)
 
 
-def across(shape: tuple[int, int], angle: float) -> Double:
-    """Return the position, in pixels, of each pixel along a direction at `angle` radians."""
+def position_along(shape: tuple[int, int], angle: float) -> Double:
+    """Compute the position of each pixel along a direction at `angle` radians, in pixels."""
     row, column = np.indices(shape)
     position: Double = row * np.sin(angle) + column * np.cos(angle)
     return position
@@ -124,7 +125,7 @@ def _log_interpolate(first: float, last: float, share: float) -> float:
 
 
 def reference_light(light: Double, typical: Double | float) -> Double:
-    """Squared norm that the squared error of a picture is relative to.
+    """Compute the squared norm that the squared error of a picture is relative to.
 
     It is the squared norm of the picture, but at least a quarter of the typical one, so that nearly
     black pictures don't have arbitrarily large errors.
@@ -132,21 +133,21 @@ def reference_light(light: Double, typical: Double | float) -> Double:
     Parameters
     ----------
     light : ndarray of float64
-        Summed squares of a picture; estimates may be negative because of noise.
+        Squared norm of each picture; estimates may be negative because of noise.
     typical : ndarray of float64, or float
-        Mean summed squares of pictures with as many lit pixels: ``|F|^2 |p|^2 / N``, where F is the
+        Mean squared norm of pictures with as many lit pixels: ``|F|^2 |p|^2 / N``, where F is the
         floodlit image and p the pattern on N pixels.
     """
     return np.maximum(light, _LEAST_REFERENCE**2 * np.asarray(typical))
 
 
 @dataclass(frozen=True, eq=False)
-class Squares:
-    """Summed squares of P relit pictures, over all rays or those without direct light.
+class SquaredNorms:
+    """Squared norms of P relit pictures, over all rays or those without direct light.
 
     Attributes
     ----------
-    wrong : ndarray of float64, shape (P,) or (L, P)
+    difference : ndarray of float64, shape (P,) or (L, P)
         Of the difference between relit pictures and the truth.
     light : ndarray of float64, shape (P,)
         Of the truth.
@@ -154,19 +155,19 @@ class Squares:
         Of pictures with as many lit pixels, on average; see `reference_light`.
     """
 
-    wrong: Double
+    difference: Double
     light: Double
     typical: Double
 
     @property
     def errors(self) -> Double:
         """Norm of the difference relative to the root of `reference_light`; 0 where that is 0."""
-        return relative_errors(self.wrong, reference_light(self.light, self.typical))
+        return relative_errors(self.difference, reference_light(self.light, self.typical))
 
     @property
     def plain_errors(self) -> Double:
         """Norm of the difference relative to the norm of the picture; 0 for a black picture."""
-        return relative_errors(self.wrong, self.light)
+        return relative_errors(self.difference, self.light)
 
 
 def picture_errors(
@@ -184,7 +185,7 @@ def picture_errors(
     Parameters
     ----------
     images, truth, patterns, floodlit, dark
-        As of `picture_squares`.
+        As of `picture_squared_norms`.
 
     Returns
     -------
@@ -192,19 +193,19 @@ def picture_errors(
     indirect : ndarray of float64, of the same shape
         On the dark pixels, relative to the light there; NaN if `dark` is None.
     """
-    total, indirect = picture_squares(images, truth, patterns, floodlit, dark)
+    total, indirect = picture_squared_norms(images, truth, patterns, floodlit, dark)
     errors = total.errors
     return errors, np.full(errors.shape, np.nan) if indirect is None else indirect.errors
 
 
-def picture_squares(
+def picture_squared_norms(
     images: Iterable[NDArray[Any]],
     truth: Iterable[NDArray[Any]],
     patterns: NDArray[Any],
     floodlit: NDArray[Any],
     dark: Bools | None = None,
-) -> tuple[Squares, Squares | None]:
-    """Sum the squares from which errors of relit pictures are computed.
+) -> tuple[SquaredNorms, SquaredNorms | None]:
+    """Compute the squared norms from which errors of relit pictures are computed.
 
     Parameters
     ----------
@@ -219,37 +220,48 @@ def picture_squares(
 
     Returns
     -------
-    total : Squares
-    indirect : Squares or None
+    total : SquaredNorms
+    indirect : SquaredNorms or None
         On the dark pixels; None if `dark` is None. The typical light is the mean of the pictures
         there, for as many lit pixels.
     """
     count = len(patterns)
     lit = np.square(patterns, dtype=np.float64).mean(axis=tuple(range(1, patterns.ndim)))
-    wrong, light = [], np.zeros((2, count))
+    differences, light = [], np.zeros((2, count))
     for index, (image, true) in enumerate(zip(images, truth, strict=True)):
         error = np.square(np.subtract(image, true, dtype=np.float64)).sum(axis=-1)
         square = np.square(true, dtype=np.float64).sum(axis=-1)
         chosen = np.ones(square.shape, np.bool_) if dark is None else dark[index]
         rays = tuple(range(-square.ndim, 0))
-        wrong.append((error.sum(axis=rays), error[..., chosen].sum(axis=-1)))
+        differences.append((error.sum(axis=rays), error[..., chosen].sum(axis=-1)))
         light[:, index] = square.sum(), square[chosen].sum()
     full = float(np.square(floodlit, dtype=np.float64).sum())
-    wrong_total, wrong_dark = np.moveaxis(np.array(wrong), 0, -1) if count else np.zeros((2, 0))
-    total = Squares(wrong_total, light[0], full * lit)
+    all_rays, dark_rays = np.moveaxis(np.array(differences), 0, -1) if count else np.zeros((2, 0))
+    total = SquaredNorms(all_rays, light[0], full * lit)
     if dark is None:
         return total, None
-    return total, Squares(wrong_dark, light[1], typical_indirect(light[1], lit))
+    return total, SquaredNorms(dark_rays, light[1], typical_indirect(light[1], lit))
 
 
-def relative_errors(wrong: Double, reference: Double) -> Double:
-    """Return ``sqrt(wrong / reference)``; 0 where either is 0 or, because of noise, negative."""
-    ratio = np.zeros(wrong.shape)
-    np.divide(np.maximum(wrong, 0), reference, out=ratio, where=reference > 0)
+def relative_errors(squared_error: Double, reference: Double) -> Double:
+    """Compute ``sqrt(squared_error / reference)``; 0 where either is 0 or, by noise, negative."""
+    ratio = np.zeros(squared_error.shape)
+    np.divide(np.maximum(squared_error, 0), reference, out=ratio, where=reference > 0)
     return np.sqrt(ratio)
 
 
 def typical_indirect(light: Double, lit: Double) -> Double:
-    """Mean light of pictures on their dark pixels, scaled to the share `lit` of each pattern."""
+    """Typical squared norm of a picture on its dark pixels, for each pattern.
+
+    It is proportional to the pattern's lit share: the mean of ``light / lit`` over all pictures,
+    times `lit`.
+
+    Parameters
+    ----------
+    light : ndarray of float64, shape (P,)
+        Squared norms of pictures on their dark pixels.
+    lit : ndarray of float64, shape (P,)
+        Lit share of each pattern.
+    """
     shares = np.divide(light, lit, out=np.zeros(light.shape), where=lit > 0)
     return lit * shares.mean() if shares.size else shares

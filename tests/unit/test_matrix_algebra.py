@@ -7,7 +7,7 @@ from tests.unit.test_transports import N, leaves, scan
 import rfpipe
 from rfpipe.errors import InputError
 from rfpipe.transport.dense import DenseTransport
-from rfpipe.transport.regrouping import squares
+from rfpipe.transport.regrouping import cell_sums
 from rfpipe.transport.sum import SumTransport
 
 RANDOM = np.random.default_rng(3)
@@ -78,8 +78,8 @@ class _Nothing(DenseTransport):
     adjoint = forward
 
 
-def test_squares_of_rays_do_not_cross_views() -> None:
-    grid, sums = squares((2, 3, 5), 2)
+def test_cells_of_rays_do_not_cross_views() -> None:
+    grid, sums = cell_sums((2, 3, 5), 2)
     assert grid == (2, 2, 3)
     image = np.arange(30.0).reshape(2, 3, 5)
     result = (sums @ image.ravel()).reshape(grid)
@@ -93,7 +93,7 @@ def test_coarser_rays_average_the_image_and_repeat_the_pattern(make, factor: int
     transport, matrix = make()
     coarse = rfpipe.coarser(transport, factor)
     mean, repeat = (
-        squares(shape, factor)[1].toarray()
+        cell_sums(shape, factor)[1].toarray()
         for shape in (transport.camera_shape, transport.projector_shape)
     )
     expected = mean / mean.sum(axis=1, keepdims=True) @ matrix @ repeat.T

@@ -15,7 +15,7 @@ from tests.results.report_folders import WEDGE
 from rfpipe import acquire
 from rfpipe.calibration.steps import STEPS
 from rfpipe.config import Config
-from rfpipe.relighting import picture_errors, picture_squares
+from rfpipe.relighting import picture_errors, picture_squared_norms
 from rfpipe.report import errors, glance, leaves, setup, text
 from rfpipe.report import verification as verification_page
 from rfpipe.report.inputs import RelitAcquisition, ReportInputs
@@ -190,14 +190,14 @@ def test_errors_of_dark_pictures_are_also_relative_to_their_own_norm() -> None:
     floodlit = np.ones((4, 5, 1))
     patterns = np.ones((2, 4, 5))
     truth = np.stack([floodlit, 0.1 * floodlit])
-    total, indirect = picture_squares(truth + 0.01, truth, patterns, floodlit)
+    total, indirect = picture_squared_norms(truth + 0.01, truth, patterns, floodlit)
     assert indirect is None
     np.testing.assert_allclose(total.plain_errors, [0.01, 0.1])
     np.testing.assert_allclose(total.errors, [0.01, 0.02])
     np.testing.assert_allclose(
         picture_errors(truth + 0.01, truth, patterns, floodlit)[0], total.errors
     )
-    black = picture_squares(0 * truth, 0 * truth, patterns, floodlit)[0]
+    black = picture_squared_norms(0 * truth, 0 * truth, patterns, floodlit)[0]
     np.testing.assert_array_equal(black.plain_errors, 0)
 
 

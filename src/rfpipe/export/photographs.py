@@ -19,7 +19,7 @@ from rfpipe.relighting import shapes
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
 from rfpipe.transport.algebra import RaySelection, check_size, selected_rays
 from rfpipe.transport.normals import Normals
-from rfpipe.transport.regrouping import squares
+from rfpipe.transport.regrouping import cell_sums
 from rfpipe.transport.relightable import LIMIT, Relightable
 from rfpipe.weights import picture_weights
 
@@ -65,7 +65,7 @@ def write_lights(
     StoreError
         When the file can't be written.
     """
-    grid, members = squares(light.projector_shape, side)
+    grid, members = cell_sums(light.projector_shape, side)
     chosen = selected_rays(rays, grid, "lights")
     shape = (*RayDomain(light.camera_shape).picture_shape, light.channels)
     remedy = "choose columns, join rays (2 x 2: 4 times smaller), or raise the limit"

@@ -128,7 +128,7 @@ def _without_negative_light(
     The squares consist of projector rays, 16 squares along the longer side. Even light has the
     same total and comes equally from all rays.
     """
-    _, square = projector.squares(-(-max(projector.image_shape) // _SQUARES))
+    _, square = projector.square_cells(-(-max(projector.image_shape) // _SQUARES))
     squares = np.zeros((int(square.max()) + 1, 1, projector.size), np.float32)
     squares[square, 0, np.arange(projector.size)] = 1
     count, direct = transport.channels, transport.direct()

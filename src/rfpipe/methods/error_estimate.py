@@ -4,25 +4,35 @@ The held-out pictures are of the kinds that people relight (`rfpipe.relighting`)
 spots. Several bars or spots are the *parts* of one pattern, so that one picture tests many of them.
 The error of each part relit alone is computed from the error of their common picture.
 
-=========  ==================  ============  =======================================================
-symbol     name in the code    shape         meaning and unit
-=========  ==================  ============  =======================================================
-``e``      `squares`           (pixels,)     error of the pattern's relit picture; its squares
-``e_i``    `error`             (parts,)      error of part i relit alone, squared; ``e = sum_i e_i``
-``f``      `floodlit_error`    scalar        error of the relit floodlit picture; its sum of squares
-``s_i``    `shares`            (parts,)      share of the rays that part i lights
-``s``                          scalar        share of the rays that the pattern lights
-=========  ==================  ============  =======================================================
+===========  ========================  ============  ===============================================
+symbol       name in the code          shape         meaning and unit
+===========  ========================  ============  ===============================================
+``e``                                  (C, pixels)   error of the pattern's relit picture, radiance
+``e_i``                                (C, pixels)   error of part i relit alone; ``e = sum_i e_i``
+``f``                                  (C, pixels)   error of the relit floodlit picture
+``|e|^2``    `squared_error`           (pixels,)     squared error of each pixel, without noise; its
+                                                     sum over the pixels is ``|e|^2``
+``|e_i|^2``  `part_squared_error`      (parts,)      squared error of each part
+``|f|^2``    `floodlit_squared_error`  scalar        squared error of the floodlit picture
+``s_i``      `shares`                  (parts,)      share of the rays that part i lights
+``s``        `share`                   scalar        share of the rays that the pattern lights; the
+                                                     parts are disjoint, so that ``s = sum_i s_i``
+``a``                                  scalar        sum of the squared errors of single rays
+``b``                                  scalar        products of the errors of two rays
+===========  ========================  ============  ===============================================
 
-The floodlit picture is part of every fit, so that the errors of all rays add up to f, which is
+The floodlit picture is part of every fit, so that the errors of all N rays add up to f, which is
 almost 0, and the errors of parts aren't independent. If the lit rays are a random sample of all
-rays, e is the sum of a sample from a finite population [1]_:
+rays, e is the sum of a sample from a finite population [1]_. Its expected square is
 
     |e|^2 = a s + b s^2,    |e_i|^2 = a s_i + b s_i^2,    a + b = |f|^2
 
-Therefore ``sum_i |e_i|^2`` equals ``|e|^2`` where errors are independent (b = 0), and
-``|e|^2 sum_i s_i (1 - s_i) / (s (1 - s))`` where f is 0 (b = -a). On images of 16 x 18, where bars
-and spots light a large share of the rays, the factor is 1.4 to 1.7.
+Without a and b,
+
+    sum_i |e_i|^2 / |e|^2 = Q + (1 - Q) s |f|^2 / |e|^2,    Q = sum_i s_i (1 - s_i) / (s (1 - s))
+
+The ratio is 1 where errors of rays are independent (b = 0), and Q where f is 0 (b = -a). On images
+of 16 x 18, where bars and spots light a large share of the rays, Q is 1.4 to 1.7.
 
 Light, other than errors, isn't random: parts light the pixels of one another, and ``|T p|^2``
 exceeds ``sum_i |T p_i|^2``, to which errors are relative. The light of a part is therefore the
@@ -45,7 +55,14 @@ from rfpipe.array_types import Bools, Double, Float
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import Pictures, relight_white
 from rfpipe.provenance import generator
-from rfpipe.relighting import KINDS, across, reference_light, shapes, spot, typical_indirect
+from rfpipe.relighting import (
+    KINDS,
+    position_along,
+    reference_light,
+    shapes,
+    spot,
+    typical_indirect,
+)
 from rfpipe.transport.base import Transport
 
 HELD_OUT = ("shapes", "shapes", "bars", "spots", "bars", "spots")
@@ -67,10 +84,11 @@ class Estimate:
     Attributes
     ----------
     shapes, bars, spots : float
-        Errors of the three kinds of pictures, relative to their norm.
+        Mean errors of the three kinds of pictures, each relative to the root of `reference_light`:
+        the picture's norm, or half the norm of a typical picture if that is larger.
     indirect : float
-        Error on pixels without direct light, relative to the indirect light there; NaN if these
-        pixels aren't known.
+        Mean error on pixels without direct light, relative in the same way to the indirect light
+        there; NaN if these pixels aren't known.
     """
 
     shapes: float
@@ -135,7 +153,7 @@ def _bars(shape: tuple[int, int], random: np.random.Generator, angle: float) -> 
     The first is two pixels wide, the last a fifth of the image. They represent half planes too,
     whose errors are about as large, but half of the error of a single half plane is chance.
     """
-    position = across(shape, angle)
+    position = position_along(shape, angle)
     extent = np.ptp(position)
     widths = np.geomspace(2, max(2.0, min(shape) / 5), _BARS)
     while len(widths) > 1 and widths.sum() > _MOST_LIT * (extent + 1):
@@ -192,20 +210,20 @@ def estimate_error(
     patterns, known = held_out_parts(transport.projector_shape), held_out.measured
     every_ray = np.ones((1, patterns[0].shape[1]), np.bool_)
     difference = relight_white(transport, every_ray)[0] - floodlit
-    floodlit_error = float(np.square(difference[:, known], dtype=np.float64).sum())
+    floodlit_squared_error = float(np.square(difference[:, known], dtype=np.float64).sum())
     noise = _noise_variance(held_out)
     comparisons = [
         _compare(
             transport,
             parts,
             _Picture(known, held_out.radiance[index], noise[index], dark[index]),
-            floodlit_error,
+            floodlit_squared_error,
         )
         for index, parts in enumerate(patterns)
     ]
     full = float(np.square(floodlit[:, known], dtype=np.float64).sum())
     references = [
-        reference_light(comparison.light, full * parts.mean(axis=1))
+        reference_light(comparison.part_light, full * parts.mean(axis=1))
         for comparison, parts in zip(comparisons, patterns, strict=True)
     ]
     errors = {kind: _mean_error_of_kind(kind, comparisons, references) for kind in KINDS}
@@ -229,18 +247,21 @@ class _Comparison:
 
     Attributes
     ----------
-    error, chance, light : ndarray of float64, shape (parts,)
-        Squared error without noise, which may make it negative; its standard deviation by noise;
-        squared light.
-    dark_error, dark_chance, dark_light : float
+    part_squared_error : ndarray of float64, shape (parts,)
+        ``|e_i|^2``. Noise is subtracted, which may make it negative.
+    part_deviation : ndarray of float64, shape (parts,)
+        Standard deviation of the squared error by noise.
+    part_light : ndarray of float64, shape (parts,)
+        Squared norm of the part's picture.
+    dark_squared_error, dark_deviation, dark_light : float
         The same on pixels without direct light; means over the parts.
     """
 
-    error: Double
-    chance: Double
-    light: Double
-    dark_error: float
-    dark_chance: float
+    part_squared_error: Double
+    part_deviation: Double
+    part_light: Double
+    dark_squared_error: float
+    dark_deviation: float
     dark_light: float
 
 
@@ -258,7 +279,7 @@ def _noise_variance(held_out: Pictures) -> Double:
 
 
 def _compare(
-    transport: Transport, parts: Bools, picture: _Picture, floodlit_error: float
+    transport: Transport, parts: Bools, picture: _Picture, floodlit_squared_error: float
 ) -> _Comparison:
     """Compare a held-out picture with a transport's pictures of its parts (parts, N).
 
@@ -270,43 +291,47 @@ def _compare(
     measured = picture.radiance[:, known].astype(np.float64)
     predicted = relight_white(transport, parts)[..., known]
     total = predicted.sum(axis=0, dtype=np.float64)
-    squares = np.square(total - measured).sum(axis=0) - noise
+    squared_error = np.square(total - measured).sum(axis=0) - noise
     shares, brightest_part = parts.mean(axis=1), predicted.sum(axis=1).argmax(axis=0)
     region = (brightest_part[:, None] == np.arange(len(parts))).astype(np.float64)
     weights = np.where(dark[:, None], shares / shares.sum(), region)
     views = RayDomain(transport.projector_shape).views
     ratio = _parts_over_pattern(
-        parts.reshape(len(parts), views, -1), floodlit_error, float(squares.sum())
+        parts.reshape(len(parts), views, -1), floodlit_squared_error, float(squared_error.sum())
     )
     light = np.square(predicted, dtype=np.float64).sum(axis=1)
     unpredicted = (np.square(measured) - np.square(total)).sum(axis=0) - noise
     return _Comparison(
-        error=ratio * (squares @ weights),
-        chance=ratio * np.sqrt(2 * np.square(noise) @ weights),
-        light=light.sum(axis=1) + unpredicted @ region,
-        dark_error=ratio * squares[dark].sum() / len(parts),
-        dark_chance=ratio * float(np.sqrt(2 * np.square(noise[dark]).sum())) / len(parts),
+        part_squared_error=ratio * (squared_error @ weights),
+        part_deviation=ratio * np.sqrt(2 * np.square(noise) @ weights),
+        part_light=light.sum(axis=1) + unpredicted @ region,
+        dark_squared_error=ratio * squared_error[dark].sum() / len(parts),
+        dark_deviation=ratio * float(np.sqrt(2 * np.square(noise[dark]).sum())) / len(parts),
         dark_light=light[:, dark].sum() / len(parts),
     )
 
 
-def _parts_over_pattern(parts: Bools, floodlit_error: float, pattern_error: float) -> float:
-    """Compute ``sum_i |e_i|^2 / |e|^2`` by the equations of the module.
+def _parts_over_pattern(parts: Bools, floodlit_squared_error: float, squared_error: float) -> float:
+    """Compute ``sum_i |e_i|^2 / |e|^2``, the squared errors of the parts over the pattern's.
+
+    It is ``Q + (1 - Q) r`` with ``r = min(s |f|^2 / |e|^2, 1)``, see the module. Independent errors
+    of rays have r = 1, to which r is limited. Where noise makes ``|e|^2`` negative, r is 0.
 
     Parameters
     ----------
     parts : ndarray of bool, shape (parts, views, rays)
-        Shares are computed view by view, since the floodlit picture of each view is known.
-    floodlit_error, pattern_error : float
+        Disjoint parts. The sums in Q are also over the views, with shares of the rays of a view,
+        since the floodlit picture of each view is known.
+    floodlit_squared_error, squared_error : float
         ``|f|^2`` and ``|e|^2``; noise may make the latter negative.
     """
     shares = parts.mean(axis=2)
-    pattern = shares.sum(axis=0)
-    variance = float((pattern * (1 - pattern)).sum())
-    known_sum = float((shares * (1 - shares)).sum()) / variance if variance > 0 else 1.0
-    independent_error = float(pattern.mean()) * floodlit_error
-    independent = min(independent_error / pattern_error, 1.0) if pattern_error > 0 else 0.0
-    return known_sum + (1 - known_sum) * independent
+    share = shares.sum(axis=0)
+    variance = float((share * (1 - share)).sum())
+    q = float((shares * (1 - shares)).sum()) / variance if variance > 0 else 1.0
+    independent_error = float(share.mean()) * floodlit_squared_error
+    r = min(independent_error / squared_error, 1.0) if squared_error > 0 else 0.0
+    return q + (1 - q) * r
 
 
 def _mean_error_of_kind(
@@ -314,7 +339,7 @@ def _mean_error_of_kind(
 ) -> float:
     """Estimate the mean error of all parts of a kind of pictures."""
     columns = [
-        np.stack([comparison.error, comparison.chance, reference])
+        np.stack([comparison.part_squared_error, comparison.part_deviation, reference])
         for name, comparison, reference in zip(HELD_OUT, comparisons, references, strict=True)
         if name == kind
     ]
@@ -322,16 +347,21 @@ def _mean_error_of_kind(
 
 
 def _indirect_error(comparisons: Sequence[_Comparison], lit: Double) -> float:
-    """Estimate the mean error of indirect light; `lit` are the lit shares of the patterns."""
-    columns = [(it.dark_error, it.dark_chance, it.dark_light) for it in comparisons]
-    error, chance, light = np.array(columns).T
+    """Estimate the mean error of indirect light.
+
+    `lit`, (patterns,), is the mean lit share of a part of each pattern.
+    """
+    columns = [(it.dark_squared_error, it.dark_deviation, it.dark_light) for it in comparisons]
+    squared_error, deviation, light = np.array(columns).T
     reference = reference_light(light, typical_indirect(light, lit))
     kinds = np.array(HELD_OUT)
     masks = (kinds == kind for kind in KINDS)
-    return float(np.mean([_mean_error(error[m], chance[m], reference[m]) for m in masks]))
+    return float(
+        np.mean([_mean_error(squared_error[m], deviation[m], reference[m]) for m in masks])
+    )
 
 
-def _mean_error(error: Double, chance: Double, reference: Double) -> float:
+def _mean_error(squared_error: Double, deviation: Double, reference: Double) -> float:
     """Estimate the mean relative error of parts.
 
     Noise makes the mean of roots too large; differences between parts make the root of the mean too
@@ -339,15 +369,21 @@ def _mean_error(error: Double, chance: Double, reference: Double) -> float:
 
     Parameters
     ----------
-    error, chance, reference : ndarray of float64, shape (parts,)
-        Squared errors, which noise may make negative; their standard deviations by noise; squared
-        light to which they are relative. Parts without light don't count.
+    squared_error : ndarray of float64, shape (parts,)
+        Squared errors, which noise may make negative.
+    deviation : ndarray of float64, shape (parts,)
+        Their standard deviations by noise.
+    reference : ndarray of float64, shape (parts,)
+        Squared light to which they are relative. Parts without light don't count.
     """
     is_lit = reference > 0
-    squares, deviation = error[is_lit] / reference[is_lit], chance[is_lit] / reference[is_lit]
-    if not squares.size:
+    relative, noise = (
+        squared_error[is_lit] / reference[is_lit],
+        deviation[is_lit] / reference[is_lit],
+    )
+    if not relative.size:
         return 0.0
-    mean_of_roots = float(np.sqrt(squares.clip(0)).mean())
-    root_of_mean = float(np.sqrt(max(float(squares.mean()), 0.0)))
-    hidden_by_noise = float(np.linalg.norm(deviation)) / squares.size
+    mean_of_roots = float(np.sqrt(relative.clip(0)).mean())
+    root_of_mean = float(np.sqrt(max(float(relative.mean()), 0.0)))
+    hidden_by_noise = float(np.linalg.norm(noise)) / relative.size
     return max(min(mean_of_roots, root_of_mean), float(np.sqrt(hidden_by_noise)))

@@ -1,10 +1,10 @@
 """Parts of the fit of smooth indirect light that near/far and footprint acquisition share.
 
-Both models describe indirect light by *cores*: the entries of a matrix S between B-splines of
-several scales (`rfpipe.transport.multiscale.MultiscaleBasis`). Cores are independent normal
-variables with mean zero. Their standard deviations fall with the squared distance before any fit,
-and are learned from the fitted cores afterwards, group by group. Splines of a finer scale are added
-only where the pictures need them.
+Both models describe indirect light by *cores*: the entries of a matrix S, one for each pair of
+B-splines of several scales (`rfpipe.transport.multiscale.MultiscaleBasis`). Cores are independent
+normal variables with mean zero. Before any fit, their standard deviations fall with the squared
+distance of the splines; afterwards they are learned from the fitted cores, group by group. Splines
+of a finer scale are added only where the pictures need them.
 """
 
 from __future__ import annotations
@@ -13,10 +13,14 @@ from collections.abc import Callable
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.array_types import Bools, Double, Float, Index
-from rfpipe.transport.multiscale import MultiscaleBasis, cells, coarsest_scale, functions_over
+from rfpipe.array_types import Bools, Double, Float, FunctionTable, Index
+from rfpipe.transport.multiscale import (
+    MultiscaleBasis,
+    cells,
+    coarsest_scale,
+    functions_over,
+)
 
 # Octaves of distance among which indirect light is shared before any fit. The number is large, so
 # that cores begin small; deviations that are learned from the pictures replace it.
@@ -26,10 +30,11 @@ Model = TypeVar("Model")
 
 
 def prior_areas(basis: MultiscaleBasis) -> Double:
-    """Compute the area over which each pair's indirect light is spread before any fit.
+    """Compute the area over which each pair's indirect light is assumed to be spread, (pairs,).
 
-    It is 12 times the squared distance of the two functions, in squared pixels, or of the coarser
-    one's scale where they are closer; one value a pair. Cores are inversely proportional to it.
+    It is 12 times the squared distance of the two functions, or 12 times the squared scale of the
+    coarser one where they are closer, in squared pixels. Before any fit, the deviation of a core is
+    inversely proportional to it.
     """
     coarser = np.maximum(basis.scales[basis.first], basis.scales[basis.second])
     area: Double = np.square(np.maximum(basis.distances(), coarser)) * _OCTAVES
@@ -48,7 +53,7 @@ def learned_deviations(group: Index, cores: Float) -> Float:
 
 def coarse_to_fine(
     shape: tuple[int, ...],
-    fit: Callable[[NDArray[np.int32], Model | None], Model | None],
+    fit: Callable[[FunctionTable, Model | None], Model | None],
     cells_to_refine: Callable[[Model, int], Bools],
 ) -> Model:
     """Fit a model with functions of finer and finer scales, where the pictures need them.
@@ -58,9 +63,9 @@ def coarse_to_fine(
     shape : tuple of int
         Ray domain of the functions.
     fit : callable
-        ``fit(functions, previous)`` returns the model with the functions, int32 (n, 4) as in
-        `MultiscaleBasis`; `previous` is the model before, None at first. It returns None if these
-        are too many.
+        ``fit(functions, previous)`` returns the model with a table of functions; `previous` is the
+        model of the coarser functions, None at first. It returns None if there are too many pairs
+        of functions to fit.
     cells_to_refine : callable
         ``cells_to_refine(model, scale)`` returns the cells of a scale in which the model differs
         from the pictures, bool ``cells(shape, scale)``.
@@ -68,7 +73,7 @@ def coarse_to_fine(
     Returns
     -------
     model
-        With all scales down to single rays, or to the last one before there are too many functions.
+        With all scales down to single rays, or to the last one before `fit` returns None.
     """
     scale = coarsest_scale(shape)
     functions = functions_over(scale, np.ones(cells(shape, scale), np.bool_))

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.relighting import picture_squares
+from rfpipe.relighting import picture_squared_norms
 from rfpipe.storage.base import CHECK_PICTURES, REFERENCE_BRACKETS, SYMMETRY
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 from rfpipe.store.files import write_atomically
@@ -67,7 +67,7 @@ def _pattern_rows(facts: dict[str, Any], images: ArrayBundle) -> Iterator[list[A
     relit, truth, patterns = (images.read(name) for name in ("relit", "truth", "patterns"))
     # without a coaxial rig, pixels without direct light are unknown
     dark = patterns == 0 if facts["coaxial"] else None
-    total, unlit = picture_squares(relit, truth, patterns, floodlit, dark)
+    total, unlit = picture_squared_norms(relit, truth, patterns, floodlit, dark)
     white = float(floodlit.max(initial=0.0))
     for index, name in enumerate(facts["names"]):
         is_known = unlit is not None and (patterns[index] == 0).any()

@@ -16,7 +16,7 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
-from rfpipe.relighting import KINDS, picture_squares, relighting_pictures
+from rfpipe.relighting import KINDS, picture_squared_norms, relighting_pictures
 from rfpipe.storage.files import FolderStorage, write_result
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
@@ -172,7 +172,7 @@ def mean_errors(
     )
     truth = chain.from_iterable(images_of(scene, batch) for batch in batches)
     dark = patterns == 0 if is_coaxial else None
-    total, indirect = picture_squares(images, truth, patterns, floodlit, dark)
+    total, indirect = picture_squared_norms(images, truth, patterns, floodlit, dark)
     levels = total.errors
     facts = {
         "mean_error": float(levels[-1].mean()),

@@ -129,14 +129,14 @@ class Transport(Relightable):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return ``R^T T S`` of one channel, float32 (Q, P).
+        """Compute ``received^T T sent`` of one channel, float32 (Q, P).
 
         Parameters
         ----------
         received : csr_array, shape (camera rays, Q)
-            R: weights of camera rays, few for each of Q sums.
+            Weights of camera rays, few for each of Q sums.
         sent : csr_array, shape (projector rays, P)
-            S: P patterns that light few rays.
+            P patterns that light few rays.
         channel : int
         """
         matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)

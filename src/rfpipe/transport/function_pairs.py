@@ -9,8 +9,8 @@ symbol   name             shape            meaning
 =======  ===============  ===============  ======================================================
 ``F``    ``factor``       (N,) float32     diagonal: light that a ray takes and gives
 ``B``    `functions`      (N, n) sparse    values of n functions at the rays
-``S``    ``cores``        (pairs,)         symmetric, sparse: exchange between two functions, one
-         ``pairs``        (2, pairs)       value for each pair
+``S``    ``cores``        (pairs,)         symmetric, sparse; a core is the entry of a pair of
+         ``pairs``        (2, pairs)       functions, the exchange of light between them
 =======  ===============  ===============  ======================================================
 """
 

@@ -46,7 +46,7 @@ class LowRankTransport(ArrayTransport):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return ``R^T T S``, see `Transport.between`."""
+        """Compute ``received^T T sent``, see `Transport.between`."""
         from scipy.sparse import diags_array
 
         # terms cancel: sums over many rays are in float64

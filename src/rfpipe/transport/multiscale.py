@@ -1,11 +1,11 @@
 """Symmetric transport between smooth functions of several scales: ``T = F B S B^T F``.
 
 The functions B are quadratic B-splines on grids whose spacing halves from scale to scale; of fine
-scales there are only the functions that a scene needs. S couples pairs of functions. Two functions
-are a pair if their distance is at most `REACH` spacings of the coarser one, since light between
-distant places varies slowly. A function of the coarsest scale is paired with all functions of its
-view, and with functions of the coarsest scale in other views. `rfpipe.transport.function_pairs` has
-the table of symbols.
+scales there are only the functions that a scene needs. S has one entry, a *core*, for each pair of
+functions. Two functions are a pair if the rows of their centres, and the columns, differ by at most
+`REACH` spacings of the coarser one, since light between distant places varies slowly. A function of
+the coarsest scale is paired with all functions of its view, and with functions of the coarsest
+scale in other views. `rfpipe.transport.function_pairs` has the table of symbols.
 """
 
 from __future__ import annotations
@@ -16,16 +16,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float, Functions
+from rfpipe.array_types import Float, FunctionTable, Numbers
 from rfpipe.blocks import RayDomain
 from rfpipe.transport.function_pairs import FunctionPairTransport
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
 
-
 REACH = 2
-"""Largest distance of a pair of functions, in spacings of the coarser one."""
+"""Largest difference in rows, or in columns, of a pair's centres, in spacings of the coarser."""
 
 _COARSEST_CELLS = 20
 # Pairs are near range if the coarser function's scale, times this, is below the coarsest scale.
@@ -35,7 +34,7 @@ _NEAR_RATIO = 4
 _COLUMNS_PER_BATCH = 64
 
 SCALE, VIEW, ROW, COLUMN = range(4)
-"""Columns of a table of functions."""
+"""Columns of a `FunctionTable`."""
 
 
 class MultiscaleBasis:
@@ -51,35 +50,35 @@ class MultiscaleBasis:
         ``i`` is centred at ``(i - 1/2) scale``, so that the first position is outside the image.
     """
 
-    def __init__(self, shape: tuple[int, ...], functions: Functions) -> None:
+    def __init__(self, shape: tuple[int, ...], functions: FunctionTable) -> None:
         self.shape = tuple(shape)
         order = np.lexsort(functions.T[::-1])
-        self.functions: Functions = np.ascontiguousarray(functions[order], np.int32)
+        self.functions: FunctionTable = np.ascontiguousarray(functions[order], np.int32)
 
     def __len__(self) -> int:
         return len(self.functions)
 
     @cached_property
-    def pairs(self) -> tuple[Functions, Functions]:
-        """The pairs' first and second functions, int32 (pairs,) each, ``first <= second``."""
+    def pairs(self) -> tuple[Numbers, Numbers]:
+        """Numbers of each pair's two functions, (pairs,) each, ``first <= second``."""
         return _pairs(self.functions, self.centres, self.shape)
 
     @property
-    def first(self) -> Functions:
-        """The first function of each pair."""
+    def first(self) -> Numbers:
+        """Number of each pair's first function."""
         return self.pairs[0]
 
     @property
-    def second(self) -> Functions:
-        """The second function of each pair."""
+    def second(self) -> Numbers:
+        """Number of each pair's second function."""
         return self.pairs[1]
 
     @property
-    def scales(self) -> Functions:
+    def scales(self) -> Numbers:
         """Scale of each function, in pixels."""
         return self.functions[:, SCALE]
 
-    def is_near(self, first: Functions, second: Functions) -> NDArray[np.bool_]:
+    def is_near(self, first: Numbers, second: Numbers) -> NDArray[np.bool_]:
         """Test which pairs of functions, given by their numbers, are near range; others are far."""
         coarser = np.maximum(self.scales[first], self.scales[second])
         near: NDArray[np.bool_] = coarser * _NEAR_RATIO < coarsest_scale(self.shape)
@@ -100,10 +99,10 @@ class MultiscaleBasis:
         height, width = RayDomain(self.shape).image_shape
         rays, owners, values = [], [], []
         for scale in np.unique(self.scales):
-            down, y = along(np.arange(height) + 0.5, int(scale))
-            across, x = along(np.arange(width) + 0.5, int(scale))
-            grid = numbers(self.functions, self.shape, int(scale))
-            number = grid[:, down[:, None, :, None], across[None, :, None, :]]
+            row, y = spline_values(np.arange(height) + 0.5, int(scale))
+            column, x = spline_values(np.arange(width) + 0.5, int(scale))
+            grid = function_grid(self.functions, self.shape, int(scale))
+            number = grid[:, row[:, None, :, None], column[None, :, None, :]]
             existing = np.flatnonzero(number >= 0)
             value = (y[:, None, :, None] * x[None, :, None, :]).ravel()
             rays.append(existing // (y.shape[1] * x.shape[1]))
@@ -119,7 +118,10 @@ class MultiscaleBasis:
         return self.weights.T.tocsr()
 
     def distances(self) -> NDArray[np.float64]:
-        """Return the distance of each pair's centres, pixels; the coarsest scale between views."""
+        """Compute the Euclidean distance of each pair's centres, in pixels, (pairs,).
+
+        Between views it is the coarsest scale.
+        """
         if not len(self):
             return np.zeros(0)
         offset = self.centres[self.first] - self.centres[self.second]
@@ -137,7 +139,7 @@ def coarsest_scale(shape: tuple[int, ...]) -> int:
     return scale
 
 
-def functions_over(scale: int, covered: NDArray[np.bool_]) -> Functions:
+def functions_over(scale: int, covered: NDArray[np.bool_]) -> FunctionTable:
     """Return the functions of a scale that are not zero in covered cells.
 
     `covered` are cells of ``scale x scale`` pixels, bool (V, ceil(H / scale), ceil(W / scale)).
@@ -159,10 +161,25 @@ def cells(shape: tuple[int, ...], scale: int) -> tuple[int, int, int]:
     return views, -(-height // scale), -(-width // scale)
 
 
-def along(
+def spline_values(
     places: NDArray[np.floating[Any]], scale: int
 ) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Return the grid positions of functions that aren't zero at places, and their values."""
+    """Compute the functions of a scale that aren't zero at places along one axis.
+
+    Parameters
+    ----------
+    places : ndarray, shape (places,)
+        Positions in pixels; the first pixel's centre is at 1/2.
+    scale : int
+        Spacing of the functions, in pixels.
+
+    Returns
+    -------
+    position : ndarray of int64, shape (places, 3)
+        Grid positions of the functions; (places, 1) at scale 1.
+    values : ndarray of float32, of the same shape
+        Their values.
+    """
     if scale == 1:
         return places.astype(np.int64)[:, None], np.ones((len(places), 1), np.float32)
     position = places / scale
@@ -172,19 +189,19 @@ def along(
     return cell[:, None] + np.arange(3), values.astype(np.float32)
 
 
-def numbers(functions: Functions, shape: tuple[int, ...], scale: int) -> Functions:
-    """Return the function at each grid position of a scale, (V, rows, columns), -1 for none."""
-    views, down, across = cells(shape, scale)
+def function_grid(functions: FunctionTable, shape: tuple[int, ...], scale: int) -> Numbers:
+    """Number of the function at each grid position of a scale, (V, rows, columns), -1 for none."""
+    views, rows, columns = cells(shape, scale)
     margin = 2 if scale > 1 else 0
-    grid = np.full((views, down + margin, across + margin), -1, np.int32)
+    grid = np.full((views, rows + margin, columns + margin), -1, np.int32)
     members = np.flatnonzero(functions[:, SCALE] == scale)
     grid[tuple(functions[members, 1:].T)] = members
     return grid
 
 
 def _pairs(
-    functions: Functions, centres: NDArray[np.float64], shape: tuple[int, ...]
-) -> tuple[Functions, Functions]:
+    functions: FunctionTable, centres: NDArray[np.float64], shape: tuple[int, ...]
+) -> tuple[Numbers, Numbers]:
     """Return the pairs of functions within reach, ordered by their scales and numbers."""
     from scipy.spatial import cKDTree
 
@@ -245,7 +262,7 @@ class MultiscaleTransport(FunctionPairTransport):
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
     ) -> Float:
-        """Return ``R^T T S``, see `Transport.between`."""
+        """Compute ``received^T T sent``, see `Transport.between`."""
         from scipy.sparse import diags_array
 
         from rfpipe.transport.pair_kernels import couple
@@ -266,14 +283,28 @@ class MultiscaleTransport(FunctionPairTransport):
 
 def relight_smooth(
     basis: MultiscaleBasis,
-    pairs: tuple[Functions, Functions],
+    pairs: tuple[Numbers, Numbers],
     cores: Float,
     factor: Float,
     patterns: NDArray[Any],
 ) -> Float:
-    """Return ``F B S B^T F p`` of one channel for patterns (P, N), float32 (P, N).
+    """Compute the images ``F B S B^T F p`` of one channel for patterns p.
 
-    S are the `cores` of `pairs` of functions, F is `factor`, (N,).
+    Parameters
+    ----------
+    basis : MultiscaleBasis
+        B.
+    pairs : tuple of ndarray of int32, shape (pairs,)
+        Numbers of each pair's two functions.
+    cores : ndarray of float32, shape (pairs,)
+        S.
+    factor : ndarray of float32, shape (N,)
+        F.
+    patterns : ndarray, shape (P, N)
+
+    Returns
+    -------
+    ndarray of float32, shape (P, N)
     """
     from rfpipe.transport.pair_kernels import couple
 

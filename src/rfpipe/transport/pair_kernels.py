@@ -1,6 +1,6 @@
-"""Compiled products of a symmetric sparse matrix S, one value for each pair of functions.
+"""Compiled products of a symmetric sparse matrix S of cores, one for each pair of functions.
 
-S has the value ``cores[k]`` at (first[k], second[k]) and, by symmetry, at (second[k], first[k]).
+S has the core ``cores[k]`` at (first[k], second[k]) and, by symmetry, at (second[k], first[k]).
 """
 
 from __future__ import annotations
@@ -10,11 +10,11 @@ from typing import NamedTuple
 import numba
 import numpy as np
 
-from rfpipe.array_types import Float, Functions
+from rfpipe.array_types import Float, Numbers
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def couple(first: Functions, second: Functions, cores: Float, light: Float, out: Float) -> None:
+def couple(first: Numbers, second: Numbers, cores: Float, light: Float, out: Float) -> None:
     """Add ``S light`` to `out`; both are (functions, columns)."""
     for pair in range(len(first)):
         a, b, core = first[pair], second[pair], cores[pair]
@@ -30,9 +30,7 @@ def couple(first: Functions, second: Functions, cores: Float, light: Float, out:
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def correlate(
-    first: Functions, second: Functions, received: Float, light: Float, out: Float
-) -> None:
+def correlate(first: Numbers, second: Numbers, received: Float, light: Float, out: Float) -> None:
     """Write the adjoint of `couple` with respect to the cores.
 
     ::
@@ -62,8 +60,8 @@ class AsymmetricCores(NamedTuple):
     (a, b) of functions. The antisymmetric part of a pair (a, a) is 0.
     """
 
-    first: Functions  # a, (pairs,)
-    second: Functions  # b, (pairs,)
+    first: Numbers  # a, (pairs,)
+    second: Numbers  # b, (pairs,)
     symmetric: Float  # (pairs,)
     antisymmetric: Float  # (pairs,)
 

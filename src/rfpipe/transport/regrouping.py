@@ -107,21 +107,21 @@ def coarser(transport: Relightable, factor: int) -> RegroupedTransport:
     """
     if factor != int(factor) or factor < 1:
         raise InputError(f"factor is {factor}; expected an integer of at least 1")
-    camera_shape, sums = squares(transport.camera_shape, int(factor))
-    projector_shape, repeated = squares(transport.projector_shape, int(factor))
+    camera_shape, sums = cell_sums(transport.camera_shape, int(factor))
+    projector_shape, repeated = cell_sums(transport.projector_shape, int(factor))
     sums.data /= np.repeat(np.diff(sums.indptr), np.diff(sums.indptr))
     return RegroupedTransport(
         transport, camera_shape, projector_shape, sums, repeated.T.tocsr(), f"coarser by {factor}"
     )
 
 
-def squares(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_array[np.float32]]:
-    """Return the grid of `RayDomain.squares`, and the matrix (squares, rays) of their sums."""
+def cell_sums(shape: tuple[int, ...], side: int) -> tuple[tuple[int, ...], csr_array[np.float32]]:
+    """Return the grid of `RayDomain.square_cells`, and the matrix (cells, rays) of their sums."""
     from scipy.sparse import csr_array
 
-    (views, *image), square = RayDomain(shape).squares(side)
-    ones, size = np.ones(square.size, np.float32), (views * prod(image), square.size)
-    matrix = csr_array((ones, (square, np.arange(square.size))), shape=size)
+    (views, *image), cell = RayDomain(shape).square_cells(side)
+    ones, size = np.ones(cell.size, np.float32), (views * prod(image), cell.size)
+    matrix = csr_array((ones, (cell, np.arange(cell.size))), shape=size)
     return (*shape[:-2], *image), matrix
 
 

@@ -1,8 +1,10 @@
-"""Symmetric transport between Haar wavelets on cells of pixels: ``T = F W^T C W F``.
+"""Symmetric transport between Haar wavelets on cells of pixels: ``T = f W^T X W f``.
 
 The wavelets W are a complete basis of images of cells, so that light of any shape can be
-represented. C couples pairs of wavelets; see `rfpipe.transport.function_pairs`, where C is S and
-``W^T`` is B.
+represented. X has one coefficient, a *core*, for each pair of wavelets that exchange light. It is
+the transport of `rfpipe.transport.function_pairs` with ``F = f``, ``B = W^T`` and ``S = X``. The
+factor f is a diagonal matrix; the residual of a model has a root of the floodlit image there
+(`rfpipe.methods.residual.model`).
 """
 
 from __future__ import annotations
@@ -18,7 +20,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.transport.function_pairs import FunctionPairTransport
-from rfpipe.transport.regrouping import squares
+from rfpipe.transport.regrouping import cell_sums
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -106,7 +108,7 @@ class Haar:
         return tuple(groups)
 
     def forward(self, images: Float) -> Float:
-        """Return the coefficients (size, M) of images (cells, M)."""
+        """Compute the coefficients (size, P) of P images (cells, P)."""
         views, height, width = self.stack
         count = images.shape[1]
         means = np.zeros((*self.grid, count), np.float32)
@@ -126,7 +128,7 @@ class Haar:
         return coefficients
 
     def inverse(self, coefficients: Float) -> Float:
-        """Return the images (cells, M) of coefficients (size, M)."""
+        """Compute the P images (cells, P) of coefficients (size, P)."""
         count, (views, height, width) = coefficients.shape[1], self.stack
         last = self.groups[-1]
         means: Float = coefficients[last.rows].reshape(*last.grid, count)
@@ -161,9 +163,9 @@ class Cells:
 
     def __init__(self, shape: tuple[int, ...], side: int) -> None:
         self.shape, self.side = tuple(shape), side
-        self.stack, self.of_ray = RayDomain(self.shape).squares(side)
+        self.stack, self.of_ray = RayDomain(self.shape).square_cells(side)
         self.count = math.prod(self.stack)
-        self._sums = squares(self.shape, side)[1]
+        self._sums = cell_sums(self.shape, side)[1]
 
     @cached_property
     def haar(self) -> Haar:
@@ -177,14 +179,14 @@ class Cells:
         return csr_array(self.haar.inverse(np.eye(self.haar.size, dtype=np.float32)))[self.of_ray]
 
     def total(self, images: NDArray[Any]) -> Float:
-        """Return sums over cells (cells, M) of images (M, N)."""
+        """Sum P images (P, N) over cells, (cells, P)."""
         if self.side == 1:
             return np.ascontiguousarray(images.T, np.float32)
         sums: Float = self._sums @ np.asarray(images.T, np.float32)
         return sums
 
     def spread(self, values: Float) -> Float:
-        """Return images (M, N) whose rays have the values (cells, M) of their cells."""
+        """Give the rays of P images, (P, N), the values (cells, P) of their cells."""
         return np.ascontiguousarray(values[self.of_ray].T)
 
     def shared_out(self, values: Float, over: Float) -> csr_array[np.float32]:
@@ -198,16 +200,16 @@ class Cells:
 
 
 class WaveletTransport(FunctionPairTransport):
-    """Symmetric transport ``T = F W^T C W F`` per channel, between Haar wavelets W.
+    """Symmetric transport ``T = f W^T X W f`` per channel, between Haar wavelets W.
 
     Parameters
     ----------
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.Transport`; both shapes are equal.
     content : mapping of str to ndarray
-        ``side``, int32 (1,): pixels along the side of a cell. ``factor``, float32 (channels, N): F.
+        ``side``, int32 (1,): pixels along the side of a cell. ``factor``, float32 (channels, N): f.
         ``pairs``, int32 (2, pairs): numbers of the wavelets of each pair, ascending. ``cores``,
-        float32 (channels, pairs): C, of any sign. Arrays may be read lazily. They are stored
+        float32 (channels, pairs): X, of any sign. Arrays may be read lazily. They are stored
         without rounding, since cores cancel.
     """
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Bools, Double, Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import nearest_known
-from rfpipe.transport.multiscale import MultiscaleBasis, along, numbers
+from rfpipe.transport.multiscale import MultiscaleBasis, function_grid, spline_values
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -57,7 +57,7 @@ class Chart:
         Chart cells are squares of the chart with a side of `scale` pixels, which is also the
         spacing of the functions of that scale.
         """
-        (_, down, across), cell = RayDomain(self.shape).squares(scale)
+        (_, down, across), cell = RayDomain(self.shape).square_cells(scale)
         if self.places is None:
             return cell
         row, column = (self.places.T // scale).astype(np.int64)
@@ -95,9 +95,9 @@ class ChartBasis(MultiscaleBasis):
         last = np.asarray(self.shape[-2:]) - 1e-6
         for scale in np.unique(self.scales):
             (down, y), (across, x) = (
-                along(axis, int(scale)) for axis in np.clip(places, 0, last).T
+                spline_values(axis, int(scale)) for axis in np.clip(places, 0, last).T
             )
-            table = numbers(self.functions, self.shape, int(scale))[0]
+            table = function_grid(self.functions, self.shape, int(scale))[0]
             number = table[down[:, :, None], across[:, None, :]]
             value = y[:, :, None] * x[:, None, :]
             exists = number >= 0

@@ -129,7 +129,7 @@ def _box_averages(length: int, side: float) -> Double:
 def coarse_light(projector: RayDomain, patterns: Float) -> Double:
     """Average patterns (N, P) over coarse cells, minus 1/2: E, (coarse_cells, P)."""
     image = projector.image_shape
-    cell = RayDomain(image).squares(max(1, round(min(image) / _COARSE_CELLS)))[1]
+    cell = RayDomain(image).square_cells(max(1, round(min(image) / _COARSE_CELLS)))[1]
     size = np.bincount(cell)
     sums = np.zeros((len(size), patterns.shape[1]))
     np.add.at(sums, cell, patterns)

@@ -128,7 +128,7 @@ def _unexplained_cells(
     squares = np.where(dark, errors * errors, 0).sum(axis=0, dtype=np.float64)
     chance = np.square(variance, dtype=np.float64).sum(axis=0)
     allowed = (_REFINED_AT * pictures.floodlit[0].astype(np.float64)) ** 2 * dark.sum(axis=0)
-    return beyond_noise(*RayDomain(shape).squares(scale), squares, noise, chance, allowed)
+    return beyond_noise(*RayDomain(shape).square_cells(scale), squares, noise, chance, allowed)
 
 
 @dataclass(frozen=True)
