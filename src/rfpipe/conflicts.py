@@ -188,7 +188,7 @@ def _by_iterated_greedy(columns: csc_array, rows: csr_array) -> Colours:
 
     from rfpipe.colouring_kernels import colour_by_saturation
 
-    # the values don't count: a byte each saves memory
+    # the values don't count: one byte per value saves memory
     pattern = csc_array(
         (np.ones(columns.nnz, np.int8), columns.indices, columns.indptr), shape=columns.shape
     )

@@ -149,7 +149,7 @@ def intensities_in(folder: Path, pictures: Sequence[str], *, parent: bool = Fals
     if values.shape[1] not in (1, 3) or not (np.isfinite(values) & (values > 0)).all():
         raise InputError(
             f"{path}: an array {values.shape} of values from {values.min():g} to "
-            f"{values.max():g}; expected intensities above 0, 1 or 3 a line"
+            f"{values.max():g}; expected intensities above 0, 1 or 3 per line"
         )
     file = light_file_in(folder, parent=parent)
     lights = _Lights(path, (), values) if file is None else _read(file, pictures)

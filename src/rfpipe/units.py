@@ -22,7 +22,7 @@ COUNT_UNIT = "count"
 """One step of the camera's analogue-to-digital converter."""
 
 SATURATION_FRACTION = 0.98
-"""Fraction of full scale from which on a count is saturated, unless a setting says otherwise."""
+"""Least saturated count as a fraction of full scale, unless a setting gives another one."""
 
 SYMMETRY_BRACKETS = 6  # results of 4 patterns differ by up to 20 %, of 8 patterns by up to 10 %
 """Number of random patterns of the symmetry test."""

@@ -153,7 +153,7 @@ def test_a_camera_with_too_few_pixels_leaks() -> None:
     assert findings["leak"].max() > 0.02
     assert findings["largest_noise"] > 1.2
     assert findings.verdict.standing == "poor"
-    assert "camera pixels a ray" in findings.verdict.text
+    assert "camera pixels per ray" in findings.verdict.text
 
 
 @pytest.mark.slow

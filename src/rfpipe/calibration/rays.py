@@ -122,7 +122,7 @@ def _quality(fit: RayFit, blur: float, tolerance: float) -> dict[str, Any]:
         "count": visible.size,
         "unseen_rays": int((~visible).sum()),
         "unseen_share": float((~visible).mean()),
-        "pixels_a_ray": pixels,
+        "pixels_per_ray": pixels,
         "blur_pixels": blur,
         "leak": leak,
         "largest_noise": float(fit.noise.max()),

@@ -20,7 +20,7 @@ _LEAST_PIXELS = 100  # smallest number of photosites in a bin that is compared
 _EXPONENT_NOISE = 0.03  # accepted uncertainty of an exponent, and least difference from 1
 
 _DITHERED = 0.35
-# Variance, in squared steps of the converter, from which on rounding is dithered by the noise and
+# Variance, in squared steps of the converter, above which rounding is dithered by the noise and
 # adds a variance of 1/12.
 
 _RATIO = 1.12  # ratio of the edges of a bin
@@ -304,7 +304,7 @@ def _numbers(gain: float, gain_error: float, electrons: float, electrons_error: 
     if gain_error >= gain:
         return "gain and read noise are unknown"
     read = with_error(electrons, electrons_error, "{:.3g}")
-    return f"{gain:.3g} +- {gain_error:.2g} electrons a count, read noise {read} electrons"
+    return f"{gain:.3g} +- {gain_error:.2g} electrons per count, read noise {read} electrons"
 
 
 class NoiseFit(NamedTuple):

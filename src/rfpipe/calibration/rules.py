@@ -285,7 +285,7 @@ RULES: tuple[Rule, ...] = (
         "poor",
         "Only {valid_pixels} camera pixels see the projector's stripes. Check focus and "
         "exposures, and that the camera sees the part of the scene that the projector lights;"
-        " or make the stripes wider than {period_pixels} pixels a period.",
+        " or make the stripes wider than {period_pixels} pixels per period.",
         "valid_pixels",
         below=100,
     ),
@@ -309,8 +309,8 @@ RULES: tuple[Rule, ...] = (
     Rule(
         "rays",
         "good",
-        "{pixels_a_ray:.1f} camera pixels a ray, a leak of {leak:.2%}; the map fits within "
-        "{map_rms_pixels:.2f} projector pixels a camera pixel, and its own error is "
+        "{pixels_per_ray:.1f} camera pixels per ray, a leak of {leak:.2%}; the map fits within "
+        "{map_rms_pixels:.2f} projector pixels per camera pixel, and its own error is "
         "{map_error_pixels:.3f}. The picture is blurred by {blur_pixels:.2f} camera pixels. "
         "The camera doesn't see {unseen_rays} rays, which stay dark.",
     ),
@@ -329,7 +329,7 @@ RULES: tuple[Rule, ...] = (
         "Rays are mixed: {leak:.1%} of other rays' light leaks into rays, and noise grows up "
         "to {largest_noise:.1f} times. The picture is blurred by {blur_pixels:.2f} camera "
         "pixels (standard deviation): focus camera and projector, or close the aperture. "
-        "There are {pixels_a_ray:.1f} camera pixels a ray; 4 or more are required: use larger"
+        "There are {pixels_per_ray:.1f} camera pixels per ray; 4 or more are required: use larger"
         " rays, or a longer lens.",
         "mixed",
         above=1,

@@ -215,7 +215,7 @@ class MethodDescription:
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
-        """Forecast patterns and memory of an acquisition; here one pattern a projector ray."""
+        """Forecast patterns and memory of an acquisition; here one pattern per projector ray."""
         return self.forecast_of(camera, channels, projector.size, projector.size)
 
     def forecast_of(

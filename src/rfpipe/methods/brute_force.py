@@ -1,4 +1,4 @@
-"""Brute force: one pattern a projector pixel, the yardstick of the other methods."""
+"""Brute force: one pattern per projector pixel, the yardstick of the other methods."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ class BlockTreeMethod(Method[S]):
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
-        """Forecast as many patterns a level as the thesis' scene took."""
+        """Forecast as many patterns per level as the thesis' scene took."""
         check_rays(self, camera, projector)
         levels = BlockTree(projector).n_levels
         patterns = min(projector.size, round(levels * self.thesis_patterns / 10))

@@ -61,7 +61,7 @@ class DualState(MethodState):
     tree : BlockTree
         Blocks of the projector's rays.
     stored : sequence of Responses
-        Responses stored so far, one set a level.
+        Responses stored so far, one set per level.
     frontier : Responses
         Responses of level ``level - 1`` to be subdivided: the sets B_k of the thesis.
     floodlit_maximum, floodlit_rms : float

@@ -35,7 +35,7 @@ class MethodState:
     options : Options
         The method's options.
     rows : tuple of dict
-        The table of levels so far, one row a level.
+        The table of levels so far, one row per level.
     """
 
     camera: RayDomain

@@ -18,7 +18,7 @@ SceneDict = dict[str, Any]
 Texture = NDArray[np.float32]
 Vector = Sequence[float] | NDArray[np.float64]
 
-# Letters of five columns (a byte each, lowest bit on top) and seven rows.
+# Letters of five columns (one byte per column, lowest bit on top) and seven rows.
 _FONT = {
     "A": "7e1111117e", "D": "7f4141221c", "E": "7f49494941", "F": "7f09090901", "G": "3e4149497a",
     "H": "7f0808087f", "I": "00417f4100", "L": "7f40404040", "N": "7f0408107f", "O": "3e4141413e",

@@ -108,7 +108,7 @@ def read_parts(path: Path, *, develop_raw: bool = False) -> list[Part]:
     if len(stored) > 1 and stored[0].format_name not in _PAGED:
         raise InputError(
             f"{path}: holds {len(stored)} pictures, an animation or sizes of one picture; expected "
-            "one picture a file"
+            "one picture per file"
         )
     if len(stored) == 1:
         return [_part(stored[0], path.name)]

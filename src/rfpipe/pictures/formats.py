@@ -74,7 +74,8 @@ def read_png(stored: Stored) -> Reading:
         (count,) = struct.unpack_from(">I", chunks[b"acTL"])
         if count > 1:
             raise InputError(
-                f"{stored.path}: holds {count} pictures, an animation; expected one picture a file"
+                f"{stored.path}: holds {count} pictures, an animation; expected one picture "
+                "per file"
             )
     encoding = profile_encoding(stored)
     if b"cICP" in chunks:

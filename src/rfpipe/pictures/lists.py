@@ -121,7 +121,7 @@ def _lines(path: Path) -> list[tuple[int, str]]:
     text = [_COMMENT.sub("", line).strip() for line in read_text(path).splitlines()]
     lines = [(number, line) for number, line in enumerate(text, 1) if line]
     if not lines:
-        raise InputError(f"{path}: has no lights, three numbers a line: it is empty")
+        raise InputError(f"{path}: has no lights, three numbers per line: it is empty")
     return lines
 
 
@@ -141,7 +141,7 @@ def _words(path: Path, lines: Sequence[tuple[int, str]], least: int) -> list[Row
             return rows
     line, words = next(row for row in rows if _trailing(row[1]) < least)
     raise InputError(
-        f"{path}: line {line} is {' '.join(words)!r}: no lights, three numbers a line; expected "
+        f"{path}: line {line} is {' '.join(words)!r}: no lights, three numbers per line; expected "
         "x y z, or the name of a picture before them"
     )
 
@@ -189,8 +189,8 @@ def _columns(path: Path, rows: Sequence[list[str]], pictures: set[str]) -> int:
         best = [columns for columns in candidates if _are_unit(rows, columns)]
     if len(best) != 1:
         raise InputError(
-            f"{path}: has {count} numbers a line, as in {' '.join(rows[0])!r}; which are x, y and "
-            "z is ambiguous. Write three, or the picture's name with its ending before them"
+            f"{path}: has {count} numbers per line, as in {' '.join(rows[0])!r}; which are x, y "
+            "and z is ambiguous. Write three, or the picture's name with its ending before them"
         )
     return best[0]
 

@@ -180,7 +180,7 @@ def _check_size(stored: Stored) -> None:
     """Raise InputError when a header states an impossible size, or deep data."""
     spec = stored.spec
     if spec.deep:
-        raise InputError(f"{stored.path}: holds deep data; flatten it to one colour a pixel")
+        raise InputError(f"{stored.path}: holds deep data; flatten it to one colour per pixel")
     largest = max(spec.width * spec.height, spec.full_width * spec.full_height)
     if not 0 < 4 * spec.nchannels * largest <= LARGEST_BYTES or min(spec.width, spec.height) < 1:
         raise InputError(

@@ -80,7 +80,7 @@ def read_raw(source: Path | bytes, name: str = "") -> Raw:
         if raw.raw_type != rawpy.RawType.Flat:
             raise InputError(
                 f"{name}: has several colours at each photosite, it is demosaiced already (as "
-                "linear DNG); expected one count a photosite. Save it as TIFF of 16 bits, linear"
+                "linear DNG); expected one count per photosite. Save it as TIFF of 16 bits, linear"
             )
         counts = np.array(raw.raw_image_visible)
         mosaic = _mosaic(raw)
@@ -90,7 +90,7 @@ def read_raw(source: Path | bytes, name: str = "") -> Raw:
         white = int(raw.white_level)
         saturated = raw.camera_white_level_per_channel
     if counts.ndim != 2:
-        raise InputError(f"{name}: holds {counts.ndim} axes; expected one count a photosite")
+        raise InputError(f"{name}: holds {counts.ndim} axes; expected one count per photosite")
     # some makers state for each picture where its channels end, below the model's level
     if saturated is not None and min(saturated) > 0:
         white = min(white, *map(int, saturated))

@@ -33,7 +33,7 @@ def check_sequence(
     ordered : bool
         Whether the order matters: False where another file names each picture's light.
     fingerprints : sequence of str, optional
-        One `pixel_fingerprint` a file, to find pictures whose files differ in metadata alone.
+        One `pixel_fingerprint` per file, to find pictures whose files differ in metadata alone.
 
     Returns
     -------

@@ -186,7 +186,7 @@ def _rays(findings: Findings) -> Figure:
         np.where(coverage, findings[name], np.nan).reshape(-1, coverage.shape[-1])
         for name in ("pixels", "leak", "noise")
     )
-    return _maps(camera_pixels_a_ray=pixels, leak__share=leak, noise_over_a_pixel_s=noise)
+    return _maps(camera_pixels_per_ray=pixels, leak__share=leak, noise_over_a_pixel_s=noise)
 
 
 _CHARTS: dict[str, tuple[Callable[[Findings], Figure], str]] = {

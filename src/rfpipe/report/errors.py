@@ -146,8 +146,8 @@ def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``patterns``, ``error``, ``patterns_sd`` and ``error_sd``, a row a step; the deviations are
-        NaN for a single scene.
+        ``patterns``, ``error``, ``patterns_sd`` and ``error_sd``, one row per step; the deviations
+        are NaN for a single scene.
     """
     step = rows.groupby("scene", sort=False).cumcount()
     groups = rows.assign(error=100 * rows[column]).groupby(step)[["patterns", "error"]]

@@ -104,7 +104,9 @@ def check_patterns(
             f"{', '.join(map(str, projector_shape))})"
         )
     if len(keys) != len(patterns):
-        raise InputError(f"{len(patterns)} patterns have {len(keys)} keys; give one key a pattern")
+        raise InputError(
+            f"{len(patterns)} patterns have {len(keys)} keys; give one key per pattern"
+        )
     return check_weights(patterns, "the batch of patterns", [picture_name(key) for key in keys])
 
 

@@ -80,7 +80,7 @@ class References:
     exposures : tuple of float
         Exposure times in seconds.
     saturated : float
-        Counts from which on a photosite is saturated.
+        Least count of a saturated photosite.
     seconds : float
         Time of capture.
     unit : str
@@ -127,7 +127,7 @@ class References:
 
     @property
     def white_rate(self) -> float:
-        """Counts a second of the projector's white picture, by the shortest exposure."""
+        """Counts per second of the projector's white picture, by the shortest exposure."""
         return float(self.light[:, 0].sum(axis=0).mean()) / self.exposures[0]
 
     @property
@@ -179,7 +179,7 @@ class LightSeries(NamedTuple):
 
 
 def saturated_from(sensor: CameraModel) -> float:
-    """Counts from which on a photosite of a camera is saturated."""
+    """Return the least count of a saturated photosite of a camera."""
     return SATURATION_FRACTION * sensor.white_level
 
 

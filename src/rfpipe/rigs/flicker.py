@@ -31,8 +31,8 @@ from rfpipe.rigs.faults import Fault, flicker_fault, gain_fault, is_whole_period
 
 _LEAST_PIXELS = 50
 _HEADROOM = 0.8  # counts over saturation: a brighter bracket does not saturate either
-_AVERAGED_SECONDS = 0.1  # exposures from which on flicker at mains frequency is small
-_COMMON = 0.3  # spread of q, relative to the spread of gains, from which on brackets flicker
+_AVERAGED_SECONDS = 0.1  # longer exposures average flicker at mains frequency
+_COMMON = 0.3  # spread of q, relative to the spread of gains, above which brackets flicker
 
 
 def exposure_ratios(
@@ -77,7 +77,7 @@ def flicker_of(
     spread : callable
         Spread of the known values (k,) of one ratio.
     significance : float
-        Errors from which on a spread is more than noise.
+        Multiple of its error above which a spread is more than noise.
 
     Returns
     -------

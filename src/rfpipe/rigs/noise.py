@@ -9,10 +9,10 @@ symbol code          shape  meaning
 ====== ============= ====== ====================================================================
 U      UNSURE        ()     factor on the variance
 s      camera        ()     read noise in electrons
-d      camera        ()     dark current in electrons a second
-k      camera        ()     electrons a count; 1/12 is the variance of rounding
+d      camera        ()     dark current in electrons per second
+k      camera        ()     electrons per count; 1/12 is the variance of rounding
 v(0)   fixed         (E,)   variance without light
-U / k  per_count     ()     variance a count above black
+U / k  per_count     ()     variance per count above black
 ====== ============= ====== ====================================================================
 """
 

@@ -33,7 +33,7 @@ SAME_MARKER = 0.3
 """Two pictures show the same marker if they differ by less, relative to marker and complement."""
 
 MOVED = 0.4
-"""Correlation from which on a differing picture shows the same marker after a motion."""
+"""Correlation above which a differing picture shows the same marker after a motion."""
 
 MOST_SATURATED, LEAST_LIGHT = 0.01, 0.002
 """Largest saturated share of a picture's shortest exposure, and least light of the white picture's

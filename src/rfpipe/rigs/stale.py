@@ -66,7 +66,7 @@ class ExposureNoise:
     black_variance, gain : float
         Variance without light, in squared counts; variance per count above black.
     saturated : float
-        Counts from which on a pixel is saturated.
+        Least count of a saturated pixel.
     """
 
     black: Float

@@ -230,7 +230,7 @@ def _described(rig: Rig, settings: ServerSettings) -> RigAnswer:
     description = rig.describe()
     bracket = prod(rig.sensor.frame_shape(rig.camera_shape, rig.channels))
     brackets = _MOST_ANSWER_BYTES // (bracket * rig.sensor.frame_dtype.itemsize)
-    # binary patterns have eight rays a byte
+    # binary patterns have eight rays per byte
     patterns = 8 * settings.most_request_bytes // prod(rig.projector_shape)
     return RigAnswer(
         camera_shape=rig.camera_shape,

@@ -56,7 +56,7 @@ class AcquisitionResult:
         Camera rays that were left out, since they are dead or hot.
     verification : Verification or None
         Errors of the transport on pictures that the method didn't see, if any were taken;
-        ``verification.table`` has a row a picture.
+        ``verification.table`` has one row per picture.
     """
 
     transport: Transport

@@ -22,7 +22,7 @@ from rfpipe.storage.base import Facts, Storage, StoredPictures
 from rfpipe.text import counted
 
 Keys = list[tuple[int, ...]]
-"""A key a pattern, which seeds simulated noise and names the pattern in messages."""
+"""One key per pattern, which seeds simulated noise and names the pattern in messages."""
 
 _log = logging.getLogger(__name__)
 

@@ -57,7 +57,7 @@ WhenChanged = Literal["recapture", "refuse"]
 
 
 class StoredPictures(Protocol):
-    """Brackets or merged images of a level, one item a pattern; see `rfpipe.store.PictureStore`."""
+    """Brackets or merged images of a level, one item per pattern; see `rfpipe.store.PictureStore`."""
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]
@@ -155,7 +155,7 @@ class Storage(Protocol):
     ) -> AbstractContextManager[tuple[StoredPictures, Any]]:
         """Open a level's merged images for writing, and a writer for any thread or process.
 
-        `layout` is the number of patterns a chunk, and of chunks a file.
+        `layout` is the number of patterns per chunk, and of chunks per file.
         """
 
     def folder(self, level: int) -> Path:

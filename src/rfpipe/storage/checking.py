@@ -231,7 +231,7 @@ def _is_manifest(path: Path) -> bool:
 
 
 def _note_unnamed(checked: Checked) -> None:
-    """Note the files that were not checked, since no manifest names them, a line a folder."""
+    """Note the files that were not checked, since no manifest names them: one line per folder."""
     checked.unnamed = sorted(
         path
         for path in checked.unnamed

@@ -66,8 +66,8 @@ class HierarchyCost:
     Attributes
     ----------
     patterns, power : float
-        Patterns a level of the block tree for an error of 1 %, and the power of 1 / error by which
-        they grow.
+        Patterns per level of the block tree for an error of 1 %, and the power of 1 / error by
+        which they grow.
     tolerance : float
         Its tolerance, relative to the target error.
     """

@@ -45,12 +45,12 @@ letter  index or array
 ======  ============================================================================================
 i, j    index of a camera ray, of a projector ray
 q       index of a picture
-``p``   (N, P) patterns, one a column: weights from 0 to 1
+``p``   (N, P) patterns, one per column: weights from 0 to 1
 ``c``   (M, P) radiance in the pictures of the patterns p
 ``F``   (M,) floodlit image
 ======  ============================================================================================
 
 The modules' tables define the others. A *core* is an entry of S; `functions` describes how cores
-are computed from the unknowns of the fit. Some functions treat the camera and projector *rays* of
-one view, which are pixels, and call them so.
+are computed from the unknowns of the fit. A *pixel* of the camera or of the projector is a ray of
+one view.
 """

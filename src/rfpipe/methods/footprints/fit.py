@@ -277,7 +277,7 @@ def _fit_channel(
 ) -> ChannelModel:
     """Fit a channel, starting from the model of the channels' sum, scaled to its brightness.
 
-    The share of the channel, (M,), is its floodlit image over that of the channels' sum.
+    The share of the channel, (M,), is its floodlit image over the floodlit image of the sum.
     """
     floodlit, grey = floodlit_by_all(pictures), floodlit_by_all(problem.grey)
     share = np.divide(floodlit, grey, out=np.zeros_like(floodlit), where=grey > 0)

@@ -16,9 +16,10 @@ it lights directly. With the direct light ``D 1`` and the floodlit image F,
     g = v (V f) + (1 - v) median(F)                the median over F > 0
 
 With several views, L are functions of places on a chart, and R has their values at the mean places
-of the camera rays that each projector ray lights. The brightness of a projector pixel is that in
-the camera's image. Where the camera does not see the pixel, R is 0, and its indirect light is left
-to the residual model.
+of the camera rays that each projector ray lights. The brightness of a projector pixel is its
+direct light in the camera's image, relative to the floodlit radiance of the camera pixels that it
+lights. Where the camera does not see it, R is 0, and its indirect light is left to the residual
+model.
 
 f and g are not light, but factors proportional to it: f is proportional to the indirect light of
 the floodlit image, and equals F at a typical pixel with mostly direct light. Unlike F it has no
@@ -209,8 +210,8 @@ class IndirectBasis:
     def part_groups(self) -> Index:
         """Number of each core part's group, (part_count,).
 
-        Core parts of a group share one standard deviation: those of pairs of the same two scales,
-        at distances that differ by less than half of the coarser scale. A scale is the spacing of
+        Core parts of a group share one standard deviation: their pairs have the same two scales,
+        and distances that differ by less than half of the coarser scale. A scale is the spacing of
         functions in pixels. Symmetric and antisymmetric parts are in different groups.
         """
         basis = self.camera

@@ -138,7 +138,7 @@ def _residual_keys(
     A box is accepted if its best weight reduces the pixel's chi-square by more than 25, and by more
     than 25 %. Pixels whose chi-square is above 25 and P / 2 are compared with boxes. Noise alone
     gives about P, so that this skips only pixels where the model fits better than noise. If the
-    pixels are too many, those of largest chi-square are compared.
+    pixels are too many, only the ones of largest chi-square are compared.
     """
     residual = pictures.radiance - indirect - candidates.matrix() @ pictures.patterns
     inverse_variance = pictures.inverse_variance(MODEL_ERROR)

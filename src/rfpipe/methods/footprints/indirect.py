@@ -18,17 +18,17 @@ and of f with prior mean 1, are fitted with S fixed: one for each projector ray 
 ==========  ============================  ===============  =========================================
 symbol      name in the code              shape            meaning and unit
 ==========  ============================  ===============  =========================================
-``p``       `ViewPictures.patterns`       (N, P), a view   patterns, 0 to 1
+``p``       `ViewPictures.patterns`       (N, P) per view  patterns, 0 to 1
 ``c``       `FitData.radiance`            (M, P)           pictures, radiance
 ``z``       `CoreOperator.forward`        (M, P)           indirect light in the pictures, radiance
-``Lambda``  `FitData.precisions`          (P, P), a ray    precisions of the rows of c, by their
+``Lambda``  `FitData.precisions`          (P, P) per ray   precisions of the rows of c, by their
                                                            factors, see `MarginalPrecision`
 ``f``       `IndirectLight.f`             (M,)             scale factors with gains, radiance
 ``g``       `IndirectLight.g`             (N,)             scale factors with gains, radiance
 ``L``       `IndirectBasis.L`             (M, n)           functions over camera rays, sparse
 ``R``       `IndirectBasis.R`             (N, n)           functions over projector rays, sparse
 ``S``       `IndirectLight.core_matrix`   (n, n)           cores, sparse, inverse radiance
-``-``       `IndirectLight.core_parts`    (part_count,)    the unknowns of S, inverse radiance
+core parts  `IndirectLight.core_parts`    (part_count,)    the unknowns of S, inverse radiance
 ``sigma``   `deviations`                  (part_count,)    their prior standard deviations
 ``J``       `CoreOperator.pattern_light`  (n, P)           light of the patterns on the functions
 ``gamma``   `projector_gain`              (N,)             gains of projector rays, no unit
@@ -238,7 +238,7 @@ def core_operator(
 def fit_cores(
     light: IndirectLight, data: FitData, deviations: Float, accuracy: Accuracy
 ) -> IndirectLight:
-    """Fit S, starting from that of `light`, with prior deviations sigma (part_count,)."""
+    """Fit S, starting from the S of `light`, with prior deviations sigma (part_count,)."""
     operator = core_operator(light, data.pictures, data.camera_rays)
 
     def project(images: Float) -> Float:

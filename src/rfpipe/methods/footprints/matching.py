@@ -30,7 +30,7 @@ symbol           name in the code           shape              meaning
                                                                squared floodlit radiance
 ``Q``            `MatchedFilter.whitening`  (P, P)             Cholesky factor; the code has
                                                                ``Q^-T``, applied from the right
-``correlation``  `Matches.correlation`      (m,)               that of the best box, -1 to 1
+``correlation``  `Matches.correlation`      (m,)               correlation of the best box, -1 to 1
 ===============  =========================  =================  =====================================
 
 Coarse cells are squares of the projector's image, 6 along its short side.

@@ -26,7 +26,7 @@ symbol     name in the code    shape            meaning and unit
 ``w y``    `weighted`          (P, N)           weighted data, no unit
 ``B``      `Patches.values`    (patches, n)     mean of each function over each patch
 ``L``      `light`             (n, P + 1)       light of each pattern on each function, radiance
-``S``      cores               (pairs,)         one number a pair of functions, inverse radiance
+``S``      cores               (pairs,)         one number per pair of functions, inverse radiance
 ``sigma``  `deviations`        (pairs,)         prior standard deviation of the cores
 =========  ==================  ===============  ====================================================
 """

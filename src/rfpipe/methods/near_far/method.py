@@ -52,8 +52,8 @@ ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 """Largest number of patterns of each round of the model. Many scenes need only the first two."""
 
 WRONG_MODEL = 0.1
-"""First estimated error from which on symmetric photography takes over. The first round leaves 2 to
-8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."""
+"""Estimated error of the first round above which symmetric photography follows. The first round
+leaves 2 to 8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."""
 
 # Mean errors are 1 to 3 tolerances of symmetric photography; the residual halves them.
 HIERARCHY = HierarchyCost(patterns=30.0, power=0.55, tolerance=0.6)

@@ -16,7 +16,7 @@ _LIT = 0.3
 
 
 def block_patterns(cells: Cells, key: int, count: int) -> NDArray[np.bool_]:
-    """Draw patterns of random blocks of 1, 2, 4 and 8 cells a side in turn.
+    """Draw patterns of random blocks of 1, 2, 4 and 8 cells per side in turn.
 
     Parameters
     ----------

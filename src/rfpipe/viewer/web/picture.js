@@ -72,7 +72,7 @@ class Screen {
     this.context.strokeRect(column - around, row - around, 2 * around + 1, 2 * around + 1);
   }
 
-  // The light over a dim picture of the lit side; `weights` has one plane or one a channel.
+  // The light over a dim picture of the lit side; `weights` has one plane, or one per channel.
   showLight(weights, colour, { view = 0, floodlit = null, white = 1 }) {
     const { data } = this.pixels, table = TABLES.srgb, { perView, rays } = this.side;
     const planes = weights.length / rays;
