@@ -79,7 +79,10 @@ class RfpipeError(Exception):
     def __str__(self) -> str:
         if not self.remedy:
             return self.problem
-        return f"{self.problem}{'. ' if self.remedy[0].isupper() else '; '}{self.remedy}"
+        if not self.remedy[0].isupper():
+            return f"{self.problem}; {self.remedy}"
+        end = "" if self.problem.endswith((".", "?")) else "."
+        return f"{self.problem}{end} {self.remedy}"
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Pickle the class with all fields, for errors raised in worker processes."""

@@ -10,7 +10,7 @@ from tests.rigs.structured_light import Shot, shot
 
 from rfpipe.errors import InputError
 from rfpipe.fitting import Series, fit_transport
-from rfpipe.fitting.faults import Fault, faults_of
+from rfpipe.fitting.faults import PictureFault, faults_of
 
 SETS = {
     "fine stripes are dark": shot((54, 96), (60, 90), 11, darkening=0.1),
@@ -19,7 +19,7 @@ SETS = {
 }
 
 
-def faults(given: Shot, *exchanges: tuple[int, int]) -> list[Fault]:
+def faults(given: Shot, *exchanges: tuple[int, int]) -> list[PictureFault]:
     """Return the faults found after successive exchanges of pictures."""
     order = np.arange(len(given.pictures))
     for first, second in exchanges:
