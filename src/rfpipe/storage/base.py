@@ -57,7 +57,10 @@ WhenChanged = Literal["recapture", "refuse"]
 
 
 class StoredPictures(Protocol):
-    """Brackets or merged images of a level, one item per pattern; see `rfpipe.store.PictureStore`."""
+    """Brackets or merged images of a level, one item per pattern.
+
+    See `rfpipe.store.PictureStore`.
+    """
 
     shape: tuple[int, ...]
     dtype: np.dtype[Any]

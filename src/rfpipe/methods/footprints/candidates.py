@@ -1,13 +1,14 @@
 """Candidate footprints: the sparse matrix D of direct light, and its columns by projector view.
 
-======  ================  ======  ==================================================================
-symbol  name in the code  shape   meaning and unit
-======  ================  ======  ==================================================================
-``D``   `matrix`          (M, N)  radiance of camera pixel i when projector pixel j alone is on
--       `keys`            (K,)    ``i N + j``, the places of the K candidate entries of D
--       `weights`         (K,)    their values, radiance
--       `variance`        (K,)    their prior variances, radiance squared
-======  ================  ======  ==================================================================
+============  ================  ======  ============================================================
+symbol        name in the code  shape   meaning and unit
+============  ================  ======  ============================================================
+``D``         `matrix`          (M, N)  radiance of camera pixel i when projector pixel j alone is
+                                        on; sparse
+``i N + j``   `keys`            (K,)    places of the K candidate entries of D
+``D_ij``      `weights`         (K,)    their values, radiance
+variance      `variance`        (K,)    their prior variances, radiance squared
+============  ================  ======  ============================================================
 """
 
 from __future__ import annotations
