@@ -22,13 +22,13 @@ def test_frames_written_in_any_order_and_any_sessions(
     frames = data.draw(arrays_of.arrays(dtype, shape))
     with TemporaryDirectory() as folder:
         path = Path(folder) / "s"
-        while True:
+        is_complete = False
+        while not is_complete:
             with PictureStore.create(
                 path, shape, dtype, "abc", {}, items_per_chunk=items_per_chunk
             ) as store:
                 runs = store.missing(longest=data.draw(st.integers(1, 5)))
-                if not runs:
-                    break
+                is_complete = not runs
                 for start, stop in data.draw(st.permutations(runs))[: len(runs) // 2 + 1]:
                     store.write(start, frames[start:stop])
         result = PictureStore.open(path).read(0, shape[0])

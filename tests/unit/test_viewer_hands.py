@@ -16,7 +16,7 @@ from tests.services.browsers import opened, wait_until
 
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import read_image, write_image
-from rfpipe.viewer import Comparison, View, write_view
+from rfpipe.viewer import Comparison, PageContent, write_view
 
 SHAPE = (20, 24)
 
@@ -25,7 +25,7 @@ SHAPE = (20, 24)
 def symmetric(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A page of scene IV, compared with near/far acquisition."""
     comparison = Comparison(transport_of("near_far"), "near/far")
-    view = View(transport_of("symmetric"), "Scene IV <small>", comparison=comparison)
+    view = PageContent(transport_of("symmetric"), "Scene IV <small>", comparison=comparison)
     return write_view(view, tmp_path_factory.mktemp("page") / "scene.html").page
 
 
@@ -284,7 +284,9 @@ def test_axe_reports_no_accessibility_problem(
 
 def test_parts_of_the_light_are_switched_on_and_off(chromium: Any, tmp_path: Path) -> None:
     transport = transport_of("near_far")
-    page = opened(chromium, write_view(View(transport, "Parts"), tmp_path / "near.html").page)
+    page = opened(
+        chromium, write_view(PageContent(transport, "Parts"), tmp_path / "near.html").page
+    )
     page.locator("#parts input[value=direct]").uncheck()
     settled(page)
     light, picture = shown(page)
@@ -295,7 +297,9 @@ def test_parts_of_the_light_are_switched_on_and_off(chromium: Any, tmp_path: Pat
 
 def test_views_are_selected_on_both_sides(chromium: Any, tmp_path: Path) -> None:
     transport = transport_of("light field")
-    page = opened(chromium, write_view(View(transport, "Views"), tmp_path / "field.html").page)
+    page = opened(
+        chromium, write_view(PageContent(transport, "Views"), tmp_path / "field.html").page
+    )
     drag(page, "#seen", (0.9, 0.9), (0.9, 0.8))  # no lit view is the displayed view
     assert page.evaluate("[state.x, state.y]") == [0.5, 0.5]
     slide(page, "litView", 1)
@@ -317,7 +321,7 @@ def test_a_small_limit_keeps_the_last_level_and_the_comparison(
     transport = transport_of("symmetric")
     comparison = Comparison(transport.relight(np.ones(SHAPE)), "the truth")
     written = write_view(
-        View(transport, "Large", comparison=comparison), tmp_path / "big.html", 1000
+        PageContent(transport, "Large", comparison=comparison), tmp_path / "big.html", 1000
     )
     assert written.levels == [transport.last_level]
     page = opened(chromium, written.page, "#tool=flood&difference=true")
@@ -341,4 +345,6 @@ def test_the_kernel_is_compiled_from_its_source() -> None:
 def test_incomparable_transports_are_refused(tmp_path: Path) -> None:
     comparison = Comparison(transport_of("one channel"), "other")
     with pytest.raises(InputError, match="transports of the same rig"):
-        write_view(View(transport_of("symmetric"), "", comparison=comparison), tmp_path / "a.html")
+        write_view(
+            PageContent(transport_of("symmetric"), "", comparison=comparison), tmp_path / "a.html"
+        )

@@ -10,10 +10,21 @@ import pytest
 from tests.results.transports import KINDS, lights, planar, transport_of
 from tests.services.browsers import opened, picture_of
 
-from rfpipe.transport import open_transport, save_transport
+from rfpipe.transport import Transport, open_transport, save_transport
 from rfpipe.viewer import PageContent, write_view
 
 KERNELS = ("", "?kernel=javascript")
+
+
+def check_pictures(page: Any, transport: Transport, level: int, *, dual: bool) -> None:
+    """Check that the page computes the same pictures as Python."""
+    for light in lights(transport.projector_shape, transport.channels):
+        relit = transport.relight(light)
+        expected = planar(relit, transport.camera_shape, transport.channels)
+        given = planar(light, transport.projector_shape, transport.channels)
+        actual = picture_of(page, given, level, dual).reshape(expected.shape)
+        limit = 2e-4 * np.abs(expected).max() + 1e-12
+        assert np.abs(actual - expected).max() < limit, (level, dual)
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -29,12 +40,7 @@ def test_pictures_equal_those_of_python(chromium: Any, kind: str, tmp_path: Path
         levels = page.evaluate("MANIFEST.levels")
         for level in {levels[-1], levels[len(levels) // 2]}:
             visible = transport.truncate(level)
-            for dual, view in ((False, visible), (True, visible.T)):
-                for light in lights(view.projector_shape, view.channels):
-                    expected = planar(view.relight(light), view.camera_shape, view.channels)
-                    given = planar(light, view.projector_shape, view.channels)
-                    actual = picture_of(page, given, level, dual).reshape(expected.shape)
-                    limit = 2e-4 * np.abs(expected).max() + 1e-12
-                    assert np.abs(actual - expected).max() < limit, (level, dual, kernel)
+            check_pictures(page, visible, level, dual=False)
+            check_pictures(page, visible.T, level, dual=True)
         assert page.said == []
         page.context.close()
