@@ -5,7 +5,7 @@ import pytest
 
 from rfpipe.methods.symmetric.rank_test import Thresholds
 
-NOISE_ONLY = Thresholds(tolerance=0.0, significance=3.0, tests=1)
+NOISE_ONLY = Thresholds(allowed_square=0.0, significance=3.0, tests=1)
 
 
 def allowed(limits: Thresholds, noise: float, samples: float, share: float = 1.0) -> float:
@@ -26,7 +26,7 @@ def test_noise_alone_is_within_three_deviations_of_its_mean_square(samples: int)
 
 
 def test_the_larger_of_tolerance_and_fluctuation_is_added_to_the_noise() -> None:
-    limits = Thresholds(tolerance=0.8, significance=3.0, tests=1)
+    limits = Thresholds(allowed_square=0.8, significance=3.0, tests=1)
     assert allowed(limits, 1.0, 200) == pytest.approx(1.8)  # the fluctuation is 0.3
     assert allowed(limits, 1.0, 200, 1 / 16) == pytest.approx(1.3)
     assert allowed(limits, 0.0, 200, 1 / 4) == pytest.approx(0.2)
@@ -36,6 +36,6 @@ def test_the_larger_of_tolerance_and_fluctuation_is_added_to_the_noise() -> None
 def test_the_probability_of_accepting_noise_does_not_depend_on_the_number_of_tests(
     tests: int,
 ) -> None:
-    limits = Thresholds(tolerance=0.0, significance=3.0, tests=tests)
+    limits = Thresholds(allowed_square=0.0, significance=3.0, tests=tests)
     # the tail of n normal deviates beyond t is about n exp(-t^2 / 2)
-    assert tests * np.exp(-limits.level_significance / 2) == pytest.approx(np.exp(-4.5))
+    assert tests * np.exp(-limits.squared_level_significance / 2) == pytest.approx(np.exp(-4.5))

@@ -9,9 +9,9 @@ import numpy as np
 from rfpipe.array_types import Bools, Double, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.symmetric.nodes import (
-    Frontier,
+    EstimatedNodes,
     LevelBlocks,
-    Nodes,
+    NodeArrays,
     Pairs,
     as_leaves,
     no_nodes,
@@ -32,7 +32,7 @@ class NodeCandidates:
         Numbers of the pairs in `Pieces`.
     is_final : ndarray of bool, shape (n,)
         Pairs that become leaves in any case, unless they are empty.
-    parents : Frontier
+    parents : EstimatedNodes
         Nodes of the level above; empty at level 0.
     parent : ndarray of int64, shape (n,)
         Number of each pair's node in `parents`.
@@ -40,7 +40,7 @@ class NodeCandidates:
 
     pair: Index
     is_final: Bools
-    parents: Frontier
+    parents: EstimatedNodes
     parent: Index
 
     def __len__(self) -> int:
@@ -55,10 +55,19 @@ class NodeCandidates:
 
 @dataclass(frozen=True)
 class Classification:
-    """Leaves and unknown nodes of a level, and their numbers by kind."""
+    """Leaves and unknown nodes of a level, and numbers of its pairs by kind.
+
+    Attributes
+    ----------
+    leaves : LeafSet
+    unknown : EstimatedNodes
+        Nodes that the next level subdivides.
+    counts : dict
+        Numbers of empty nodes and of leaves, as in the table of levels.
+    """
 
     leaves: LeafSet
-    frontier: Frontier
+    unknown: EstimatedNodes
     counts: dict[str, int]
 
 
@@ -73,7 +82,7 @@ def classify(
     from rfpipe.methods.symmetric import kernels
 
     energy, is_significant = kernels.pair_energies(
-        pieces, candidates.pair, limits.significance**2, limits.level_significance
+        pieces, candidates.pair, limits.significance**2, limits.squared_level_significance
     )
     is_final = candidates.is_final | ~is_significant.any(axis=0)
     lit: Bools = np.any(energy, axis=0)
@@ -87,8 +96,8 @@ def classify(
         return Classification(leaves, no_nodes(len(energy)), counts)
     nodes, is_leaf = _estimate(tree, level, pieces, candidates, energy, limits)
     leaves = as_leaves(tree, level, select(tree, level, nodes, is_leaf))
-    frontier = select(tree, level, nodes, ~is_leaf)
-    return Classification(leaves, frontier, {"empty": empty, "rank1": len(leaves)})
+    unknown = select(tree, level, nodes, ~is_leaf)
+    return Classification(leaves, unknown, {"empty": empty, "rank1": len(leaves)})
 
 
 def _estimate(
@@ -98,11 +107,11 @@ def _estimate(
     candidates: NodeCandidates,
     energy: Double,
     limits: Thresholds,
-) -> tuple[Frontier, Bools]:
+) -> tuple[EstimatedNodes, Bools]:
     """Return pairs as nodes with rank-1 estimates, and which of them are leaves, bool (n,).
 
     A node is a leaf without further patterns where its rank test can't fail (the bound of
-    `kernels.fill_factors`), or where a block is a single ray, so that its rank is 1.
+    `kernels.estimate_pieces`), or where a block is a single ray, so that its rank is 1.
     """
     from rfpipe.methods.symmetric import kernels
 
@@ -111,8 +120,8 @@ def _estimate(
     a, b = pairs.block_a, pairs.block_b
     offsets = np.stack([pieces.offset_a[pair], pieces.offset_b[pair]])
     variance = kernels.piece_sums(starts, Pairs(a, b, *offsets), pieces.variances)
-    nodes = Nodes(*pairs, np.empty((len(energy), n_values), np.float32), energy, variance)
-    bound, pixels = kernels.fill_factors(
+    nodes = NodeArrays(*pairs, np.empty((len(energy), n_values), np.float32), energy, variance)
+    bound, pixels = kernels.estimate_pieces(
         LevelBlocks.of(tree, level),
         nodes,
         MeasuredPieces(pieces.values, pieces.variances, offsets),
@@ -125,11 +134,11 @@ def _estimate(
     pixels = np.maximum(pixels, 1.0)
     is_leaf = (bound / pixels <= limits.allowed(noise, pixels)).all(axis=0)
     is_leaf |= (sizes[a] == 1) | (sizes[b] == 1) | candidates.is_final
-    return Frontier(a, b, nodes.factors, energy, variance), is_leaf
+    return EstimatedNodes(a, b, nodes.pieces, energy, variance), is_leaf
 
 
 def _profiles(tree: BlockTree, level: int, pairs: Pairs, candidates: NodeCandidates) -> Profiles:
-    """Locate the images of the pairs' blocks in the factors of the nodes above."""
+    """Locate the images of the pairs' blocks in the pieces of the nodes above."""
     parents, parent = candidates.parents, candidates.parent
     if not len(parents):
         return Profiles(parents.pieces, np.full((2, len(pairs.block_a)), -1, np.int64))

@@ -1,6 +1,6 @@
 """Compiled kernels of symmetric photography (thesis §5.1, C.2).
 
-Formulas use the symbols of `rfpipe.methods.symmetric`: ``c_ab`` is piece (a, b), the light that
+Formulas use the symbols of `rfpipe.methods.symmetric`: ``x_ab`` is piece (a, b), the light that
 block a receives while block b is lit. Images and pieces are planar and in tree order, so that a
 piece is one run of values. Arguments are the named tuples of `nodes` and `pieces`.
 
@@ -19,23 +19,23 @@ _DEPENDENT_VARIANCE = 1e12
 
 
 @numba.njit(cache=True, fastmath=_FAST)
-def _squared_difference(measured, factor, scale):  # type: ignore[no-untyped-def]
-    """Return ``|measured - scale factor|^2``."""
+def _squared_difference(measured, piece, scale):  # type: ignore[no-untyped-def]
+    """Return ``|measured - scale piece|^2``."""
     total = 0.0
     for k in range(measured.shape[0]):
-        difference = measured[k] - factor[k] * scale
+        difference = measured[k] - piece[k] * scale
         total += np.float64(difference * difference)
     return total
 
 
 @numba.njit(cache=True)
-def _unknown_difference(unknown, start, measured, factor, scale):  # type: ignore[no-untyped-def]
-    """Return `_squared_difference` of the unknown pixels of a piece that begins at `start`."""
+def _masked_difference(masked, start, measured, piece, scale):  # type: ignore[no-untyped-def]
+    """Return `_squared_difference` of the masked pixels of a piece that begins at `start`."""
     total = 0.0
     end = start + measured.shape[0]
-    for k in range(np.searchsorted(unknown, start), np.searchsorted(unknown, end)):
-        pixel = unknown[k] - start
-        difference = measured[pixel] - factor[pixel] * scale
+    for k in range(np.searchsorted(masked, start), np.searchsorted(masked, end)):
+        pixel = masked[k] - start
+        difference = measured[pixel] - piece[pixel] * scale
         total += np.float64(difference * difference)
     return total
 
@@ -49,7 +49,7 @@ def collect_pieces(starts, pairs, pattern_of_block, batch, values, variances):  
 
     ::
 
-        c_ab = E[pattern of b] over a,    c_ba = E[pattern of a] over b
+        x_ab = E[pattern of b] over a,    x_ba = E[pattern of a] over b
 
     Parameters
     ----------
@@ -83,7 +83,7 @@ def _copy_piece(starts, block, pattern, batch, offset, values, variances):  # ty
 
 @numba.njit(cache=True, parallel=True)
 def piece_sums(starts, pairs, values):  # type: ignore[no-untyped-def]
-    """Return ``sum(c_ab)`` and ``sum(c_ba)`` of each pair, float64 (C, 2, n)."""
+    """Return ``sum(x_ab)`` and ``sum(x_ba)`` of each pair, float64 (C, 2, n)."""
     sums = np.empty((len(values), 2, len(pairs.block_a)))
     for n in numba.prange(len(pairs.block_a)):
         a, b = pairs.block_a[n], pairs.block_b[n]
@@ -94,23 +94,25 @@ def piece_sums(starts, pairs, values):  # type: ignore[no-untyped-def]
     return sums
 
 
-# Pixels that no image shows
+# Masked pixels
 
 
 @numba.njit(cache=True, parallel=True)
 def complete_pieces(starts, pieces):  # type: ignore[no-untyped-def]
-    """Estimate the unknown pixels of pieces from their known pixels and from symmetry.
+    """Estimate the masked pixels of pieces from their known pixels and from symmetry.
 
-    A piece's k unknown pixels get one value x, first the mean of its known pixels, whose scatter is
-    its variance v. By symmetry both pieces have the same sum, and weighted least squares divides
-    the difference d of the sums between them; V is the variance of each sum without x::
+    The k_a masked pixels of piece x_ab get one value h_a. It starts as the mean of the piece's
+    known pixels, and their variance v_a is its variance. By symmetry both pieces have the same sum;
+    weighted least squares distributes the difference delta of the sums over h_a and h_b::
 
-        d = sum(c_ba) + k_b x_b - sum(c_ab) - k_a x_a,    D = V_a + k_a v_a + V_b + k_b v_b
-        x_a += v_a d / D,    x_b -= v_b d / D
+        delta = sum(x_ba) + k_b h_b - sum(x_ab) - k_a h_a
+        S     = V_a + k_a v_a + V_b + k_b v_b
+        h_a += v_a delta / S,    h_b -= v_b delta / S
 
-    A piece without known pixels gets the sum of the pair's other piece; on the diagonal, where the
-    two pieces are one, x is the mean. Values are 0 in unknown pixels on entry; values, sums and
-    variances of sums are changed in place.
+    V_a and V_b are the variances of the sums over known pixels. A piece without known pixels gets
+    the sum of the pair's other piece; on the diagonal, where the two pieces are one, h_a stays the
+    mean. Values are 0 in masked pixels on entry; values, sums and variances of sums are changed in
+    place.
     """
     for n in numba.prange(len(pieces.block_a)):
         _complete_pair(starts, pieces, n)
@@ -118,56 +120,56 @@ def complete_pieces(starts, pieces):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _complete_pair(starts, pieces, n):  # type: ignore[no-untyped-def]
-    """Estimate the unknown pixels of the two pieces of one pair; see `complete_pieces`."""
-    a, b, unknown = pieces.block_a[n], pieces.block_b[n], pieces.unknown
-    first_a, last_a = np.searchsorted(unknown, starts[a : a + 2])
-    first_b, last_b = np.searchsorted(unknown, starts[b : b + 2])
+    """Estimate the masked pixels of the two pieces of one pair; see `complete_pieces`."""
+    a, b, masked = pieces.block_a[n], pieces.block_b[n], pieces.masked
+    first_a, last_a = np.searchsorted(masked, starts[a : a + 2])
+    first_b, last_b = np.searchsorted(masked, starts[b : b + 2])
     counts = last_a - first_a, last_b - first_b
     if counts[0] + counts[1] == 0:
         return
     sizes = starts[a + 1] - starts[a], starts[b + 1] - starts[b]
     for c in range(len(pieces.values)):
-        x_a, x_b = _unknown_values(pieces, c, n, sizes, counts)
-        for pixel in unknown[first_a:last_a]:
-            pieces.values[c, pieces.offset_a[n] + pixel - starts[a]] = x_a
-        for pixel in unknown[first_b:last_b]:
-            pieces.values[c, pieces.offset_b[n] + pixel - starts[b]] = x_b
-        pieces.sums[c, 0, n] += counts[0] * x_a
-        pieces.sums[c, 1, n] += counts[1] * x_b
+        h_a, h_b = _masked_values(pieces, c, n, sizes, counts)
+        for pixel in masked[first_a:last_a]:
+            pieces.values[c, pieces.offset_a[n] + pixel - starts[a]] = h_a
+        for pixel in masked[first_b:last_b]:
+            pieces.values[c, pieces.offset_b[n] + pixel - starts[b]] = h_b
+        pieces.sums[c, 0, n] += counts[0] * h_a
+        pieces.sums[c, 1, n] += counts[1] * h_b
 
 
 @numba.njit(cache=True)
-def _unknown_values(pieces, c, n, sizes, counts):  # type: ignore[no-untyped-def]
-    """Return the value of a pair's unknown pixels in either piece, 0 or more; see above."""
+def _masked_values(pieces, c, n, sizes, counts):  # type: ignore[no-untyped-def]
+    """Return ``h_a`` and ``h_b`` of a pair, 0 or more; see `complete_pieces`."""
     values = pieces.values
     offset_a, offset_b = pieces.offset_a[n], pieces.offset_b[n]
-    x_a, v_a = _known_moments(values[c, offset_a : offset_a + sizes[0]], counts[0])
+    h_a, v_a = _known_moments(values[c, offset_a : offset_a + sizes[0]], counts[0])
     if pieces.block_a[n] == pieces.block_b[n]:
-        return max(x_a, 0.0), max(x_a, 0.0)
-    x_b, v_b = _known_moments(values[c, offset_b : offset_b + sizes[1]], counts[1])
+        return max(h_a, 0.0), max(h_a, 0.0)
+    h_b, v_b = _known_moments(values[c, offset_b : offset_b + sizes[1]], counts[1])
     sums, noise, variance = pieces.sums[c], pieces.noise_variance[c], pieces.variance[c]
-    difference = sums[1, n] + counts[1] * x_b - sums[0, n] - counts[0] * x_a
+    difference = sums[1, n] + counts[1] * h_b - sums[0, n] - counts[0] * h_a
     variance[0, n] += counts[0] * v_a
     variance[1, n] += counts[1] * v_b
     total = variance[0, n] + variance[1, n]
     if sizes[0] == counts[0]:
-        x_a = difference / counts[0]
+        h_a = difference / counts[0]
         noise[0, n] = noise[1, n]
         variance[0, n] = _DEPENDENT_VARIANCE * variance[1, n]
     elif sizes[1] == counts[1]:
-        x_b = -difference / counts[1]
+        h_b = -difference / counts[1]
         noise[1, n] = noise[0, n]
         variance[1, n] = _DEPENDENT_VARIANCE * variance[0, n]
     elif total > 0.0:
-        x_a += v_a * difference / total
-        x_b -= v_b * difference / total
-    return max(x_a, 0.0), max(x_b, 0.0)
+        h_a += v_a * difference / total
+        h_b -= v_b * difference / total
+    return max(h_a, 0.0), max(h_b, 0.0)
 
 
 @numba.njit(cache=True)
-def _known_moments(piece, n_unknown):  # type: ignore[no-untyped-def]
-    """Return mean and variance of a piece's known pixels; its unknown pixels are 0."""
-    known = piece.shape[0] - n_unknown
+def _known_moments(piece, n_masked):  # type: ignore[no-untyped-def]
+    """Return mean and variance of a piece's known pixels; its masked pixels are 0."""
+    known = piece.shape[0] - n_masked
     if known == 0:
         return 0.0, 0.0
     total, squares = 0.0, 0.0
@@ -182,8 +184,8 @@ def _known_moments(piece, n_unknown):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _shares(piece, energy, block, blocks):  # type: ignore[no-untyped-def]
-    """Return the shares ``w_i = sum(piece[i]) / m`` of a block's children, and ``sum_i w_i^2``."""
+def _energy_shares(piece, energy, block, blocks):  # type: ignore[no-untyped-def]
+    """Return the energy shares ``w_i = sum(x[i]) / m`` of a block's children, and ``sum w_i^2``."""
     first, last = blocks.first_child[block], blocks.first_child[block + 1]
     shares, squares = np.empty(last - first), 0.0
     for child in range(first, last):
@@ -196,15 +198,15 @@ def _shares(piece, energy, block, blocks):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, parallel=True)
-def rank_test(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def]
-    """Compare the pieces of each node's children with their prediction by the node's factors.
+def compare_children(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def]
+    """Compare the pieces of each node's children with their prediction by the node's pieces.
 
     For node (a, b) with children (i, j)::
 
-        c_ij ~ w_j c_ab[i],    w_j = sum(c_ba[j]) / m
-        c_ji ~ w_i c_ba[j],    w_i = sum(c_ab[i]) / m
-        ssd   = sum_ij |c_ij - w_j c_ab[i]|^2 + |c_ji - w_i c_ba[j]|^2
-        noise = sum_ij var(c_ij) + var(c_ji) + sum_j w_j^2 var(c_ab) + sum_i w_i^2 var(c_ba)
+        x_ij ~ w_j x_ab[i],    w_j = sum(x_ba[j]) / m
+        x_ji ~ w_i x_ba[j],    w_i = sum(x_ab[i]) / m
+        ssd   = sum_ij |x_ij - w_j x_ab[i]|^2 + |x_ji - w_i x_ba[j]|^2
+        noise = sum_ij var(x_ij) + var(x_ji) + sum_j w_j^2 var(x_ab) + sum_i w_i^2 var(x_ba)
 
     The arguments are the parts of `Subdivision`.
 
@@ -219,7 +221,7 @@ def rank_test(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def
     noise = np.empty(nodes.energy.shape)
     squares = np.empty(nodes.variance.shape)
     for n in numba.prange(len(nodes.block_a)):
-        for c in range(len(nodes.factors)):
+        for c in range(len(nodes.pieces)):
             ssd[c, n], noise[c, n], squares[c, 0, n], squares[c, 1, n] = _test_node(
                 blocks, nodes, first_pair, pieces, c, n
             )
@@ -228,15 +230,15 @@ def rank_test(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def
 
 @numba.njit(cache=True)
 def _test_node(blocks, nodes, first_pair, pieces, c, n):  # type: ignore[no-untyped-def]
-    """Return ssd, noise and the two sums of squared shares of one node; see `rank_test`."""
+    """Return ssd, noise and the two sums of squared shares of one node; see `compare_children`."""
     a, b = nodes.block_a[n], nodes.block_b[n]
     child_a, child_b = blocks.first_child[a], blocks.first_child[b]
     start_a, start_b = blocks.starts[a], blocks.starts[b]
     offset_a, offset_b = nodes.offset_a[n], nodes.offset_b[n]
-    factor_a = nodes.factors[c, offset_a : offset_a + blocks.starts[a + 1] - start_a]
-    factor_b = nodes.factors[c, offset_b : offset_b + blocks.starts[b + 1] - start_b]
-    shares_a, squares_a = _shares(factor_a, nodes.energy[c, n], a, blocks)
-    shares_b, squares_b = _shares(factor_b, nodes.energy[c, n], b, blocks)
+    piece_a = nodes.pieces[c, offset_a : offset_a + blocks.starts[a + 1] - start_a]
+    piece_b = nodes.pieces[c, offset_b : offset_b + blocks.starts[b + 1] - start_b]
+    shares_a, squares_a = _energy_shares(piece_a, nodes.energy[c, n], a, blocks)
+    shares_b, squares_b = _energy_shares(piece_b, nodes.energy[c, n], b, blocks)
     ssd, noise = 0.0, squares_b * nodes.variance[c, 0, n]
     if a != b:
         noise += squares_a * nodes.variance[c, 1, n]
@@ -245,8 +247,8 @@ def _test_node(blocks, nodes, first_pair, pieces, c, n):  # type: ignore[no-unty
         begin, end = blocks.child_starts[i] - start_a, blocks.child_starts[i + 1] - start_a
         offset = pieces.offset_a[pair]
         ssd = _add_difference(
-            ssd, pieces.values[c, offset : offset + end - begin], factor_a[begin:end],
-            np.float32(shares_b[j - child_b]), pieces.unknown, blocks.child_starts[i],
+            ssd, pieces.values[c, offset : offset + end - begin], piece_a[begin:end],
+            np.float32(shares_b[j - child_b]), pieces.masked, blocks.child_starts[i],
         )  # fmt: skip
         noise += pieces.noise_variance[c, 0, pair]
         if i == j:
@@ -254,22 +256,22 @@ def _test_node(blocks, nodes, first_pair, pieces, c, n):  # type: ignore[no-unty
         begin, end = blocks.child_starts[j] - start_b, blocks.child_starts[j + 1] - start_b
         offset = pieces.offset_b[pair]
         ssd = _add_difference(
-            ssd, pieces.values[c, offset : offset + end - begin], factor_b[begin:end],
-            np.float32(shares_a[i - child_a]), pieces.unknown, blocks.child_starts[j],
+            ssd, pieces.values[c, offset : offset + end - begin], piece_b[begin:end],
+            np.float32(shares_a[i - child_a]), pieces.masked, blocks.child_starts[j],
         )  # fmt: skip
         noise += pieces.noise_variance[c, 1, pair]
     return ssd, noise, squares_b, squares_a
 
 
 @numba.njit(cache=True)
-def _add_difference(total, measured, factor, share, unknown, start):  # type: ignore[no-untyped-def]
-    """Add ``|measured - share factor|^2`` over the known pixels of a piece to a total."""
-    total += _squared_difference(measured, factor, share)
-    total -= _unknown_difference(unknown, start, measured, factor, share)
+def _add_difference(total, measured, piece, share, masked, start):  # type: ignore[no-untyped-def]
+    """Add ``|measured - share piece|^2`` over the known pixels of a piece to a total."""
+    total += _squared_difference(measured, piece, share)
+    total -= _masked_difference(masked, start, measured, piece, share)
     return total
 
 
-# Children of failed nodes
+# Children of nodes that don't become leaves
 
 
 @numba.njit(cache=True, parallel=True)
@@ -277,10 +279,10 @@ def reconcile(blocks, nodes, first_pair, pieces):  # type: ignore[no-untyped-def
     """Adjust the children's pieces so that they add up to the pieces of their node.
 
     The node's piece is an earlier measurement of the sum of its children's pieces. Weighted least
-    squares joins both, at each pixel of child i::
+    squares joins both, at each pixel of child i; N_a is the number of rays of block a::
 
-        s_ij = var(c_ij),    S = var(c_ab) / rays of a + sum_j s_ij
-        c_ij += s_ij / S (c_ab[i] - sum_j c_ij),    var(c_ij) = s_ij (1 - s_ij / S)
+        s_ij = var(x_ij),    S = sum(var(x_ab)) / N_a + sum_j s_ij
+        x_ij += s_ij / S (x_ab[i] - sum_j x_ij),    var(x_ij) = s_ij (1 - s_ij / S)
 
     Values and variances of the pieces are changed in place. The arguments are the parts of
     `Subdivision`.
@@ -304,7 +306,7 @@ def _reconcile_side(blocks, nodes, first_pair, pieces, n, side):  # type: ignore
         for c in range(len(pieces.values)):
             _reconcile_block(
                 pieces.values[c], pieces.variances[c], offsets[:count],
-                nodes.factors[c, offset + begin : offset + end],
+                nodes.pieces[c, offset + begin : offset + end],
                 nodes.variance[c, side, n] / pixels,
             )  # fmt: skip
 
@@ -347,10 +349,10 @@ def pair_energies(pieces, chosen, least, significant):  # type: ignore[no-untype
 
     ::
 
-        m = w sum(c_ab) + (1 - w) sum(c_ba),    w = V_b / (V_a + V_b)
-        var(m) = w^2 V_a + (1 - w)^2 V_b
+        m = beta sum(x_ab) + (1 - beta) sum(x_ba),    beta = V_b / (V_a + V_b)
+        var(m) = beta^2 V_a + (1 - beta)^2 V_b
 
-    On the diagonal both sums are the same.
+    V_a and V_b are the variances of the two sums. On the diagonal both sums are the same.
 
     Parameters
     ----------
@@ -374,11 +376,11 @@ def pair_energies(pieces, chosen, least, significant):  # type: ignore[no-untype
         diagonal = pieces.block_a[pair] == pieces.block_b[pair]
         for c in range(len(pieces.values)):
             v_a, v_b = pieces.variance[c, 0, pair], pieces.variance[c, 1, pair]
-            w = v_b / (v_a + v_b) if v_a + v_b > 0.0 else 0.5
+            beta = v_b / (v_a + v_b) if v_a + v_b > 0.0 else 0.5
             if diagonal:
-                w, v_b = 1.0, 0.0
-            m = w * pieces.sums[c, 0, pair] + (1.0 - w) * pieces.sums[c, 1, pair]
-            variance = w * w * v_a + (1.0 - w) * (1.0 - w) * v_b
+                beta, v_b = 1.0, 0.0
+            m = beta * pieces.sums[c, 0, pair] + (1.0 - beta) * pieces.sums[c, 1, pair]
+            variance = beta * beta * v_a + (1.0 - beta) * (1.0 - beta) * v_b
             square = m * m if m > 0.0 else 0.0
             energy[c, n] = m if square > least * variance else 0.0
             is_significant[c, n] = square > significant * variance
@@ -386,21 +388,21 @@ def pair_energies(pieces, chosen, least, significant):  # type: ignore[no-untype
 
 
 @numba.njit(cache=True, parallel=True)
-def fill_factors(blocks, nodes, measured, profiles, significance):  # type: ignore[no-untyped-def]
-    """Write the factors of nodes from their measured pieces, and bound their rank test.
+def estimate_pieces(blocks, nodes, measured, profiles, significance):  # type: ignore[no-untyped-def]
+    """Estimate the pieces of nodes from their measured pieces, and bound their rank test.
 
-    The factors are denoised towards the pieces of the nodes above (`_denoise`), not negative, and
-    scaled to the energy m; 0 where m is. A non-negative transport with these factors splits each of
-    them among the children of the other block in some way. The ssd of `rank_test` is largest if all
-    light comes from the child with the smallest share::
+    The estimates are shrunk towards the pieces of the nodes above (`_denoise`), not negative, and
+    scaled to the energy m; 0 where m is 0. A non-negative transport with these pieces splits each
+    of them among the children of the other block in some way. The ssd of `compare_children` is
+    largest if all light comes from the child with the smallest energy share::
 
-        bound = |c_ab|^2 (1 - 2 min_j w_j + sum_j w_j^2) + |c_ba|^2 (1 - 2 min_i w_i + sum_i w_i^2)
+        bound = |x_ab|^2 (1 - 2 min_j w_j + sum_j w_j^2) + |x_ba|^2 (1 - 2 min_i w_i + sum_i w_i^2)
 
     Parameters
     ----------
     blocks : LevelBlocks
-    nodes : Nodes
-        Their factors are written.
+    nodes : NodeArrays
+        Their pieces are written.
     measured : MeasuredPieces
     profiles : Profiles
     significance : float
@@ -410,7 +412,7 @@ def fill_factors(blocks, nodes, measured, profiles, significance):  # type: igno
     -------
     bound : float64 (C, n)
     pixels : float64 (C, n)
-        Effective number of pixels that the sum is over: the participation number ``m^2 / |c|^2`` of
+        Effective number of pixels that the sum is over: the participation number ``m^2 / |x|^2`` of
         each piece, times the children of the other block. One bright pixel in a dark block counts
         as one pixel.
     """
@@ -419,18 +421,18 @@ def fill_factors(blocks, nodes, measured, profiles, significance):  # type: igno
     for n in numba.prange(len(nodes.block_a)):
         a, b = nodes.block_a[n], nodes.block_b[n]
         offset_a, offset_b = nodes.offset_a[n], nodes.offset_b[n]
-        for c in range(len(nodes.factors)):
+        for c in range(len(nodes.pieces)):
             m = nodes.energy[c, n]
-            factor_a = nodes.factors[c, offset_a : offset_a + starts[a + 1] - starts[a]]
-            factor_b = nodes.factors[c, offset_b : offset_b + starts[b + 1] - starts[b]]
-            _denoise(measured, profiles, c, 0, n, significance, factor_a)
-            _scale(factor_a, m)
+            piece_a = nodes.pieces[c, offset_a : offset_a + starts[a + 1] - starts[a]]
+            piece_b = nodes.pieces[c, offset_b : offset_b + starts[b + 1] - starts[b]]
+            _denoise(measured, profiles, c, 0, n, significance, piece_a)
+            _scale(piece_a, m)
             if a != b:
-                _denoise(measured, profiles, c, 1, n, significance, factor_b)
-                _scale(factor_b, m)
-            bound[c, n], pixels[c, n] = _bound(factor_a, factor_b, m, b, blocks)
+                _denoise(measured, profiles, c, 1, n, significance, piece_b)
+                _scale(piece_b, m)
+            bound[c, n], pixels[c, n] = _bound(piece_a, piece_b, m, b, blocks)
             if a != b:
-                more, more_pixels = _bound(factor_b, factor_a, m, a, blocks)
+                more, more_pixels = _bound(piece_b, piece_a, m, a, blocks)
                 bound[c, n] += more
                 pixels[c, n] += more_pixels
     return bound, pixels
@@ -438,21 +440,23 @@ def fill_factors(blocks, nodes, measured, profiles, significance):  # type: igno
 
 @numba.njit(cache=True)
 def _denoise(measured, profiles, c, side, n, significance, target):  # type: ignore[no-untyped-def]
-    """Write a node's piece (side 0: c_ab, 1: c_ba), denoised towards the piece of the node above.
+    """Write a node's piece x (side 0: x_ab, 1: x_ba), shrunk towards the piece of the node above.
 
-    The two pieces show the same surface, and the piece p of the node above has less noise::
+    Both pieces are light that one surface receives, and the piece q of the node above has less
+    noise. Positive-part James-Stein shrinkage of x towards g, which is q scaled to the sum of x::
 
-        g = p sum(c) / sum(p),    d = c - g
-        result = max(g + k d, 0),    k = max(1 - sum(var(c)) / |d|^2, 1 - (t^2 var(c)) / d^2, 0)
+        g = q sum(x) / sum(q),    e = x - g
+        alpha_y = max(1 - sum(var(x)) / |e|^2, 1 - t^2 var(x_y) / e_y^2, 0)
+        result_y = max(g_y + alpha_y e_y, 0)
 
-    The first term of k is a property of the whole piece, the second of a single pixel, with the
-    threshold t of `significance` standard deviations. Without a node above the result is
-    ``max(c, 0)``.
+    The first term of alpha is the James-Stein weight of the whole piece. The second, of a single
+    pixel y, keeps differences beyond t = `significance` standard deviations, such as a highlight.
+    Without a node above the result is ``max(x, 0)``.
     """
     start, size = measured.offsets[side, n], len(target)
     piece, variance = measured.values[c, start : start + size], measured.variances[c]
     first = profiles.offsets[side, n]
-    profile = profiles.factors[c, first : first + (size if first >= 0 else 0)]
+    profile = profiles.pieces[c, first : first + (size if first >= 0 else 0)]
     light, profile_light = summed(piece), summed(profile)
     if light <= 0.0 or profile_light <= 0.0:
         for k in range(size):
@@ -461,14 +465,14 @@ def _denoise(measured, profiles, c, side, n, significance, target):  # type: ign
     scale = np.float32(light / profile_light)
     squares = _squared_difference(piece, profile, scale)
     noise = summed(variance[start : start + size])
-    part = max(0.0, 1.0 - noise / squares) if squares > 0.0 else 0.0
+    weight = max(0.0, 1.0 - noise / squares) if squares > 0.0 else 0.0
     for k in range(size):
-        guess = profile[k] * scale
-        difference = piece[k] - guess
+        scaled = profile[k] * scale
+        difference = piece[k] - scaled
         square = difference * difference
         threshold = significance * significance * variance[start + k]
-        pixel_part = max(part, 1.0 - threshold / square) if square > threshold else part
-        target[k] = max(guess + np.float32(pixel_part) * difference, np.float32(0))
+        alpha = max(weight, 1.0 - threshold / square) if square > threshold else weight
+        target[k] = max(scaled + np.float32(alpha) * difference, np.float32(0))
 
 
 @numba.njit(cache=True)
@@ -481,12 +485,12 @@ def _scale(piece, energy):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _bound(factor, partner, energy, block, blocks):  # type: ignore[no-untyped-def]
-    """Bound the ssd of a factor, and count its pixels; the `partner` is over `block`.
+def _bound(piece, partner, energy, block, blocks):  # type: ignore[no-untyped-def]
+    """Return a piece's term of the bound of `estimate_pieces`, and its effective number of pixels.
 
-    Its term of `fill_factors`: shares of the partner weight the factor in each child of `block`.
+    `partner` is the node's other piece, over `block`, and gives the energy shares.
     """
-    square = dot(factor, factor)
-    shares, squares = _shares(partner, energy, block, blocks)
+    square = dot(piece, piece)
+    shares, squares = _energy_shares(partner, energy, block, blocks)
     pixels = energy * energy / square * len(shares) if square > 0.0 else 0.0
     return square * (1.0 - 2.0 * shares.min() + squares), pixels

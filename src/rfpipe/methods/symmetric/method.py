@@ -27,16 +27,16 @@ from rfpipe.methods.descent import BlockTreeMethod
 from rfpipe.methods.states import MethodState, joined, level_row, with_prefix, without_prefix
 from rfpipe.methods.symmetric.classification import Classification, NodeCandidates, classify
 from rfpipe.methods.symmetric.nodes import (
-    Frontier,
+    EstimatedNodes,
     as_leaves,
-    child_counts,
     child_pairs,
     compared_pixels,
+    counts_of_children,
     no_nodes,
     select,
 )
 from rfpipe.methods.symmetric.pieces import Subdivision, node_batches, residual_pieces
-from rfpipe.methods.symmetric.rank_test import RankTestResult, Thresholds, rank_test
+from rfpipe.methods.symmetric.rank_test import RankTestResult, Thresholds, rank_test_results
 from rfpipe.methods.symmetric.scheduling import schedule_children
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import LeafSet
@@ -53,7 +53,8 @@ class SymmetricOptions(Options):
 
     tolerance: Fraction = Field(
         1e-3,
-        description="Error allowed in a stored block, a fraction of the floodlit maximum.",
+        description="Root mean square error allowed in the light from half of a block to another "
+        "block, over the pixels of the latter, a fraction of the floodlit maximum.",
     )
 
 
@@ -66,18 +67,18 @@ class SymmetricState(MethodState):
     tree : BlockTree
     known : sequence of LeafSet
         Leaves of all levels so far, which `residual_pieces` subtracts from images.
-    frontier : Frontier
+    frontier : EstimatedNodes
         Unknown nodes of level ``level - 1``.
     floodlit_maximum, floodlit_rms : float
         Maximum and root mean square of the floodlit image; the tolerance is relative to them.
-    dark : ndarray of bool, shape (N,)
+    unseen : ndarray of bool, shape (N,)
         Rays, in tree order, without significant light in the floodlit image.
     """
 
     options: SymmetricOptions
     tree: BlockTree = field(kw_only=True)
-    frontier: Frontier = field(kw_only=True)
-    dark: NDArray[np.bool_] = field(kw_only=True)
+    frontier: EstimatedNodes = field(kw_only=True)
+    unseen: NDArray[np.bool_] = field(kw_only=True)
     known: Sequence[LeafSet] = ()
     floodlit_maximum: float = 0.0
     floodlit_rms: float = 0.0
@@ -89,7 +90,7 @@ class SymmetricState(MethodState):
         that passed the rank test clearly, and leaves of its own level.
         """
         arrays = {
-            "dark": self.dark,
+            "unseen": self.unseen,
             **with_prefix("leaves_", _leaf_arrays(self.known[-1])),
             **with_prefix("frontier_", _node_arrays(self.frontier)),
         }
@@ -120,8 +121,8 @@ class SymmetricState(MethodState):
             start,
             rows=tuple(last.attributes["rows"]),
             known=LazySequence(keys, leaves, keep=True),
-            frontier=Frontier(**without_prefix("frontier_", last.arrays)),
-            dark=last.arrays["dark"],
+            frontier=EstimatedNodes(**without_prefix("frontier_", last.arrays)),
+            unseen=last.arrays["unseen"],
             floodlit_maximum=last.attributes["floodlit_maximum"],
             floodlit_rms=last.attributes["floodlit_rms"],
         )
@@ -131,7 +132,7 @@ def _leaf_arrays(leaves: LeafSet) -> dict[str, NDArray[Any]]:
     return {"block_a": leaves.block_a, "block_b": leaves.block_b, "values": leaves.values}
 
 
-def _node_arrays(nodes: Frontier) -> dict[str, NDArray[Any]]:
+def _node_arrays(nodes: EstimatedNodes) -> dict[str, NDArray[Any]]:
     return {
         "block_a": nodes.block_a,
         "block_b": nodes.block_b,
@@ -159,9 +160,9 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
         """Return the state before the floodlit image."""
         check_rays(self, camera, projector)
         tree, frontier = BlockTree(projector), no_nodes(channels)
-        dark = np.zeros(projector.size, np.bool_)
+        unseen = np.zeros(projector.size, np.bool_)
         return SymmetricState(
-            camera, projector, channels, options, tree=tree, frontier=frontier, dark=dark
+            camera, projector, channels, options, tree=tree, frontier=frontier, unseen=unseen
         )
 
     def next_schedule(self, state: SymmetricState) -> Schedule | None:
@@ -170,7 +171,7 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
             return Schedule.floodlit(state.tree.domain.shape)
         if not len(state.frontier):
             return None
-        return schedule_children(state.tree, state.level, state.frontier, state.dark)
+        return schedule_children(state.tree, state.level, state.frontier, state.unseen)
 
     def refine(
         self, state: SymmetricState, images: LevelImages, memory_bytes: int = MEMORY_BYTES
@@ -179,16 +180,19 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
         if state.level == 0:
             return self._begin(state, images)
         tree, level, nodes = state.tree, state.level, state.frontier
-        limits = _limits(state, tests=int(child_counts(tree, level - 1, nodes).sum()))
+        limits = _limits(state, tests=int(counts_of_children(tree, level - 1, nodes).sum()))
         batches = [
             _refine_nodes(
                 state, select(tree, level - 1, nodes, batch), images, limits, memory_bytes
             )
             for batch in node_batches(tree, level - 1, nodes, memory_bytes)
         ]
-        row = level_row(level, images.schedule.count, **_total([it.child_counts for it in batches]))
+        row = level_row(
+            level, images.schedule.count, **_total([it.counts_of_children for it in batches])
+        )
         counts = _total([it.counts for it in batches])
         previous = state.rows[-1]
+        # this level decides on the previous level's unknown nodes and so completes that level's row
         counts["rank1"] += previous["rank1"]
         return replace(
             state,
@@ -198,7 +202,7 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
                 joined([batch.leaves for batch in batches]),
                 joined([batch.children.leaves for batch in batches]),
             ),
-            frontier=joined([batch.children.frontier for batch in batches]),
+            frontier=joined([batch.children.unknown for batch in batches]),
         )
 
     def _begin(self, state: SymmetricState, images: LevelImages) -> SymmetricState:
@@ -217,8 +221,8 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
             state,
             rows=(level_row(0, 1, nodes=1, **root_node.counts),),
             known=(root_node.leaves,),
-            frontier=root_node.frontier,
-            dark=np.logical_not(significant.any(axis=0)),
+            frontier=root_node.unknown,
+            unseen=np.logical_not(significant.any(axis=0)),
         )
 
     def transport(self, state: SymmetricState) -> HierarchicalTransport:
@@ -232,10 +236,12 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
 def _limits(state: SymmetricState, tests: int) -> Thresholds:
     """Return the thresholds of the rank test of the frontier's nodes.
 
-    A pattern that lights half of a block adds up the errors of two of its four children, so that a
-    node's mean squared error may be half of the squared tolerance. Errors of many nodes add up like
-    noise: with half of all children lit, half of all squared errors add up. If all nodes are at the
-    limit, the error is `_MOST_ERROR` tolerances of the norm of such a picture.
+    A pattern that lights half of block b adds up the errors of two of its four children in the
+    image over block a. The node limit, half of the squared tolerance for each child, keeps their
+    mean square within the squared tolerance. The errors of different nodes are independent, so that
+    their squares add up: a picture with half of all children lit has half of all squared errors.
+    The limit is lower where many nodes at the node limit would cause an error above `_MOST_ERROR`
+    tolerances of the norm of such a picture.
     """
     options, tree, level = state.options, state.tree, state.level
     node_limit = (options.tolerance * state.floodlit_maximum) ** 2 / 2
@@ -262,19 +268,19 @@ class _Refined:
         Nodes that are leaves.
     children : Classification
         Of the subdivided nodes.
-    counts, child_counts : dict
+    counts, counts_of_children : dict
         Numbers of nodes and of children by kind, as in the table of levels.
     """
 
     leaves: LeafSet
     children: Classification
     counts: dict[str, int]
-    child_counts: dict[str, int]
+    counts_of_children: dict[str, int]
 
 
 def _refine_nodes(
     state: SymmetricState,
-    nodes: Frontier,
+    nodes: EstimatedNodes,
     images: LevelImages,
     limits: Thresholds,
     memory_bytes: int,
@@ -286,7 +292,7 @@ def _refine_nodes(
     parent, a, b = child_pairs(tree, level - 1, nodes)
     pieces = residual_pieces(tree, level, (a, b), state.known, state.channels, images, memory_bytes)
     subdivision = Subdivision.of(tree, level - 1, nodes, parent, pieces)
-    outcome = rank_test(tree, level - 1, nodes, subdivision, limits)
+    outcome = rank_test_results(tree, level - 1, nodes, subdivision, limits)
     is_leaf = outcome == RankTestResult.PASSED_CLEARLY
     leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, is_leaf))
     kernels.reconcile(*subdivision)

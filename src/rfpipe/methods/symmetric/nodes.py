@@ -63,31 +63,32 @@ class Pairs(NamedTuple):
         return cls(block_a, block_b, offset_a, offset_b), n_values
 
 
-class Nodes(NamedTuple):
-    """Nodes with their rank-1 estimates, for kernels.
+class NodeArrays(NamedTuple):
+    """`EstimatedNodes` with the layout of their pieces, for kernels.
 
-    Blocks and offsets are as in `Pairs`, `factors` are the pieces of `Frontier`, and `energy` and
-    `variance` are as there.
+    Blocks and offsets are as in `Pairs`, all other arrays as in `EstimatedNodes`.
     """
 
     block_a: Blocks
     block_b: Blocks
     offset_a: Index
     offset_b: Index
-    factors: Float
+    pieces: Float
     energy: Double
     variance: Double
 
 
 @dataclass(frozen=True)
-class Frontier:
-    """Unknown nodes of a level, with the rank-1 estimates that the next level's images test.
+class EstimatedNodes:
+    """Nodes of a level with their rank-1 estimates ``x_ab x_ba^T / m``.
+
+    Unknown nodes are tested on the next level's images; all others are converted by `as_leaves`.
 
     Attributes
     ----------
     block_a, block_b : ndarray of int32, shape (n,)
     pieces : ndarray of float32, shape (C, n_values)
-        Pieces ``c_ab`` and ``c_ba`` in the layout of `Pairs`; radiance, not negative.
+        Pieces ``x_ab`` and ``x_ba`` in the layout of `Pairs`; radiance, not negative.
     energy : ndarray of float64, shape (C, n)
         Sum ``m`` of either piece.
     variance : ndarray of float64, shape (C, 2, n)
@@ -103,20 +104,20 @@ class Frontier:
     def __len__(self) -> int:
         return len(self.block_a)
 
-    def nodes(self, tree: BlockTree, level: int) -> Nodes:
+    def nodes(self, tree: BlockTree, level: int) -> NodeArrays:
         """Return the nodes, which are of `level`, for kernels."""
         pairs, _ = Pairs.of(tree.starts[level], self.block_a, self.block_b)
-        return Nodes(*pairs, self.pieces, self.energy, self.variance)
+        return NodeArrays(*pairs, self.pieces, self.energy, self.variance)
 
 
-def no_nodes(channels: int) -> Frontier:
-    """Return an empty frontier."""
+def no_nodes(channels: int) -> EstimatedNodes:
+    """Return no nodes, of a number of channels."""
     none = np.zeros(0, np.int32)
     pieces = np.zeros((channels, 0), np.float32)
-    return Frontier(none, none, pieces, np.zeros((channels, 0)), np.zeros((channels, 2, 0)))
+    return EstimatedNodes(none, none, pieces, np.zeros((channels, 0)), np.zeros((channels, 2, 0)))
 
 
-def child_counts(tree: BlockTree, level: int, nodes: Frontier) -> Index:
+def counts_of_children(tree: BlockTree, level: int, nodes: EstimatedNodes) -> Index:
     """Count the children of each node of `level`, see `child_pairs`."""
     if level >= tree.n_levels - 1:
         return np.zeros(len(nodes), np.int64)
@@ -125,7 +126,7 @@ def child_counts(tree: BlockTree, level: int, nodes: Frontier) -> Index:
     return np.where(nodes.block_a == nodes.block_b, a * (a + 1) // 2, a * b)
 
 
-def child_pairs(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Index, Blocks, Blocks]:
+def child_pairs(tree: BlockTree, level: int, nodes: EstimatedNodes) -> tuple[Index, Blocks, Blocks]:
     """Subdivide nodes of `level` into pairs of children of their blocks.
 
     A node off the diagonal gives every pair of a child of a and a child of b, 16 of quadtree
@@ -138,11 +139,11 @@ def child_pairs(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Index, Bl
     block_a, block_b : ndarray of int32, shape (n,)
         The blocks of each pair, of the next level.
     """
-    parent = np.repeat(np.arange(len(nodes)), child_counts(tree, level, nodes))
+    parent = np.repeat(np.arange(len(nodes)), counts_of_children(tree, level, nodes))
     return parent, *child_blocks(tree, level, nodes)
 
 
-def child_blocks(tree: BlockTree, level: int, nodes: Frontier) -> tuple[Blocks, Blocks]:
+def child_blocks(tree: BlockTree, level: int, nodes: EstimatedNodes) -> tuple[Blocks, Blocks]:
     """Return the blocks of the nodes' children, see `child_pairs`."""
     if level >= tree.n_levels - 1 or not len(nodes):
         return np.zeros(0, np.int32), np.zeros(0, np.int32)
@@ -167,7 +168,7 @@ def _child_blocks(first_child: Index, block_a: Blocks, block_b: Blocks) -> tuple
     return child_a[ordered].astype(np.int32), child_b[ordered].astype(np.int32)
 
 
-def compared_pixels(tree: BlockTree, level: int, nodes: Frontier) -> Double:
+def compared_pixels(tree: BlockTree, level: int, nodes: EstimatedNodes) -> Double:
     """Count the pixels that each node's rank test compares, float64 (n,)."""
     sizes = np.diff(tree.starts[level])
     children = np.diff(tree.child_starts[level])
@@ -176,7 +177,9 @@ def compared_pixels(tree: BlockTree, level: int, nodes: Frontier) -> Double:
     return np.where(a == b, in_a, in_a + sizes[b] * children[a]).astype(np.float64)
 
 
-def select(tree: BlockTree, level: int, nodes: Frontier, chosen: Bools | slice) -> Frontier:
+def select(
+    tree: BlockTree, level: int, nodes: EstimatedNodes, chosen: Bools | slice
+) -> EstimatedNodes:
     """Return some of the nodes, in contiguous arrays: kernels are compiled for those alone."""
     block_a = nodes.block_a[chosen]
     if len(block_a) == len(nodes):
@@ -185,7 +188,7 @@ def select(tree: BlockTree, level: int, nodes: Frontier, chosen: Bools | slice) 
     offset_a, _, n_values = factor_offsets(starts, nodes.block_a, nodes.block_b)
     lengths = np.diff(np.append(offset_a, n_values))
     index = ragged_ranges(offset_a[chosen], lengths[chosen])
-    return Frontier(
+    return EstimatedNodes(
         block_a,
         nodes.block_b[chosen],
         np.ascontiguousarray(nodes.pieces[:, index]),
@@ -194,10 +197,10 @@ def select(tree: BlockTree, level: int, nodes: Frontier, chosen: Bools | slice) 
     )
 
 
-def as_leaves(tree: BlockTree, level: int, nodes: Frontier) -> LeafSet:
-    """Turn nodes into rank-1 leaves, ``T_ab = c_ab c_ba^T / m`` (Fig. 5.1).
+def as_leaves(tree: BlockTree, level: int, nodes: EstimatedNodes) -> LeafSet:
+    """Turn nodes into rank-1 leaves, ``T_ab = x_ab x_ba^T / m`` (Fig. 5.1).
 
-    Each factor is its piece over the square root of m; factors of nodes without light are 0.
+    Leaves store the factors ``u = x_ab / sqrt(m)`` and ``v = x_ba / sqrt(m)``, 0 where m is 0.
     """
     offset_a, _, n_values = factor_offsets(tree.starts[level], nodes.block_a, nodes.block_b)
     lengths = np.diff(np.append(offset_a, n_values))

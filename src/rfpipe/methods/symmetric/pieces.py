@@ -15,9 +15,9 @@ from rfpipe.array_types import Blocks, Double, Float, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
 from rfpipe.methods.symmetric.nodes import (
-    Frontier,
+    EstimatedNodes,
     LevelBlocks,
-    Nodes,
+    NodeArrays,
     Pairs,
     compared_pixels,
 )
@@ -42,11 +42,11 @@ class Pieces(NamedTuple):
     noise_variance : ndarray of float64, shape (C, 2, n)
         Variances of the sums by the noise of their known pixels.
     variance : ndarray of float64, shape (C, 2, n)
-        Variances of the sums, including the estimates of unknown pixels.
-    unknown : ndarray of int64, shape (k,)
-        Ascending tree positions of pixels that no image shows, such as defects of the camera. Their
-        values are estimates from the pair's other piece and from the neighbours, with a variance of
-        0; the rank test leaves them out.
+        Variances of the sums, including the estimates of masked pixels.
+    masked : ndarray of int64, shape (k,)
+        Ascending tree positions of masked pixels. Their values are estimates from the known pixels
+        of the same piece and the sum of the pair's other piece (`kernels.complete_pieces`), with a
+        variance of 0; the rank test leaves them out.
     """
 
     block_a: Blocks
@@ -58,7 +58,7 @@ class Pieces(NamedTuple):
     sums: Double
     noise_variance: Double
     variance: Double
-    unknown: Index
+    masked: Index
 
 
 class ImageBatch(NamedTuple):
@@ -84,7 +84,7 @@ class MeasuredPieces(NamedTuple):
     ----------
     values, variances : ndarray of float32, shape (C, n_values)
     offsets : ndarray of int64, shape (2, n)
-        First value of c_ab and of c_ba of each node.
+        First value of x_ab and of x_ba of each node.
     """
 
     values: Float
@@ -93,17 +93,17 @@ class MeasuredPieces(NamedTuple):
 
 
 class Profiles(NamedTuple):
-    """Less noisy images of the nodes' blocks, from the factors of the nodes above, for kernels.
+    """Pieces of the nodes above over the nodes' blocks, less noisy than measured, for kernels.
 
     Attributes
     ----------
-    factors : ndarray of float32, shape (C, n_values)
+    pieces : ndarray of float32, shape (C, n_values)
         Pieces of the nodes above.
     offsets : ndarray of int64, shape (2, n)
         First value over block a and over block b of each node; -1 where there is none.
     """
 
-    factors: Float
+    pieces: Float
     offsets: Index
 
 
@@ -114,7 +114,7 @@ class Subdivision(NamedTuple):
     ----------
     blocks : LevelBlocks
         Of the nodes' level.
-    nodes : Nodes
+    nodes : NodeArrays
     first_pair : ndarray of int64, shape (n + 1,)
         Node i has the children ``first_pair[i]:first_pair[i + 1]``, pairs of `pieces`.
     pieces : Pieces
@@ -122,13 +122,13 @@ class Subdivision(NamedTuple):
     """
 
     blocks: LevelBlocks
-    nodes: Nodes
+    nodes: NodeArrays
     first_pair: Index
     pieces: Pieces
 
     @classmethod
     def of(
-        cls, tree: BlockTree, level: int, nodes: Frontier, parent: Index, pieces: Pieces
+        cls, tree: BlockTree, level: int, nodes: EstimatedNodes, parent: Index, pieces: Pieces
     ) -> Subdivision:
         """Join nodes of `level` and pieces whose pairs have the nodes `parent`, ascending."""
         first_pair = np.searchsorted(parent, np.arange(len(nodes) + 1))
@@ -136,7 +136,7 @@ class Subdivision(NamedTuple):
 
 
 def node_batches(
-    tree: BlockTree, level: int, nodes: Frontier, memory_bytes: int
+    tree: BlockTree, level: int, nodes: EstimatedNodes, memory_bytes: int
 ) -> Iterator[slice]:
     """Divide nodes of `level` into batches whose children's pieces fit into memory.
 
@@ -182,26 +182,26 @@ def residual_pieces(
     starts = tree.starts[level]
     pairs, n_values = Pairs.of(starts, *blocks)
     pattern_of_block = images.schedule.pattern_of_block(tree, level)
-    unknown = np.zeros(tree.domain.size, np.bool_)
+    masked = np.zeros(tree.domain.size, np.bool_)
     values = np.zeros((channels, n_values), np.float32)
     variances = np.zeros_like(values)
     for first, last in _pattern_batches(tree, channels, images.schedule.count, memory_bytes):
         radiance, variance = (_planar(it, tree, channels) for it in images.read(first, last))
-        unknown |= np.isinf(variance[0]).any(axis=0)
+        masked |= np.isinf(variance[0]).any(axis=0)
         rounding = np.finfo(np.float32).eps * radiance
         variance += rounding * rounding
         radiance -= predict(tree, known, level, pattern_of_block, first, last, channels)
-        radiance[..., unknown], variance[..., unknown] = 0, 0
+        radiance[..., masked], variance[..., masked] = 0, 0
         batch = ImageBatch(first, radiance, variance)
         kernels.collect_pieces(starts, pairs, pattern_of_block, batch, values, variances)
     sums = kernels.piece_sums(starts, pairs, values)
     noise_variance = kernels.piece_sums(starts, pairs, variances)
-    if not unknown.any():
+    if not masked.any():
         no_pixels = np.zeros(0, np.int64)
         return Pieces(*pairs, values, variances, sums, noise_variance, noise_variance, no_pixels)
     pieces = Pieces(
         *pairs, values, variances, sums, noise_variance, noise_variance.copy(),
-        np.flatnonzero(unknown),
+        np.flatnonzero(masked),
     )  # fmt: skip
     kernels.complete_pieces(starts, pieces)
     return pieces

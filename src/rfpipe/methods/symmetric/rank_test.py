@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 
 from rfpipe.array_types import Double
 from rfpipe.blocks import BlockTree
-from rfpipe.methods.symmetric.nodes import Frontier, compared_pixels
+from rfpipe.methods.symmetric.nodes import EstimatedNodes, compared_pixels
 from rfpipe.methods.symmetric.pieces import Subdivision
 
 # The mean of n squared normal deviates is within 1 +- 3 sqrt(2 / n), at three standard deviations.
 _DEVIATIONS = 3.0
-# Share of the tolerance within which a node is as good a leaf as its children.
+# Share of the allowed mean square up to which a node is as good a leaf as its children are: a
+# quarter of the allowed root mean square.
 _SMALL_SHARE = 1.0 / 16
 
 
@@ -29,9 +30,9 @@ class RankTestResult(IntEnum):
     """
 
     FAILED = 0
-    """The children are unknown nodes."""
+    """The children are classified as empty nodes, leaves or unknown nodes."""
     PASSED = 1
-    """The children are leaves."""
+    """The children are leaves, unless they are empty."""
     PASSED_CLEARLY = 2
     """The node is a leaf."""
 
@@ -42,7 +43,7 @@ class Thresholds:
 
     Attributes
     ----------
-    tolerance : float
+    allowed_square : float
         Mean squared difference that the user's tolerance allows in the image of one child, squared
         radiance.
     significance : float
@@ -51,12 +52,12 @@ class Thresholds:
         Number of measurements at this level.
     """
 
-    tolerance: float
+    allowed_square: float
     significance: float
     tests: int
 
     @property
-    def level_significance(self) -> float:
+    def squared_level_significance(self) -> float:
         """Squared standard deviations above which light is worth more patterns.
 
         The tail of n normal deviates beyond t is about ``n exp(-t^2 / 2)``. With this t, noise
@@ -68,7 +69,7 @@ class Thresholds:
     def allowed(self, noise: Double, samples: Double, share: float = 1.0) -> Double:
         """Largest mean squared difference that passes the rank test.
 
-        It is the noise plus the larger of a share of the tolerance and of the fluctuation of the
+        It is the noise plus the larger of a share of `allowed_square` and of the fluctuation of the
         noise's mean square.
 
         Parameters
@@ -78,15 +79,15 @@ class Thresholds:
         samples : ndarray of float64
             Number of pixels of the mean.
         share : float
-            Share of the tolerance that is allowed.
+            Share of `allowed_square`.
         """
         fluctuation = noise * _DEVIATIONS * np.sqrt(2.0 / samples)
-        allowed: Double = noise + np.maximum(self.tolerance * share, fluctuation)
+        allowed: Double = noise + np.maximum(self.allowed_square * share, fluctuation)
         return allowed
 
 
-def rank_test(
-    tree: BlockTree, level: int, nodes: Frontier, subdivision: Subdivision, limits: Thresholds
+def rank_test_results(
+    tree: BlockTree, level: int, nodes: EstimatedNodes, subdivision: Subdivision, limits: Thresholds
 ) -> NDArray[np.int8]:
     """Test which nodes of `level` predict the pieces of their children within the limits.
 
@@ -103,7 +104,7 @@ def rank_test(
 
     if tree.splits_views(level):
         return np.full(len(nodes), RankTestResult.FAILED, np.int8)
-    ssd, noise, squares = kernels.rank_test(*subdivision)
+    ssd, noise, squares = kernels.compare_children(*subdivision)
     samples = compared_pixels(tree, level, nodes)
     outcome = np.full(len(nodes), RankTestResult.FAILED, np.int8)
     for passed, share in (
@@ -117,13 +118,14 @@ def rank_test(
 
 
 def _has_evidence(
-    tree: BlockTree, level: int, nodes: Frontier, squares: Double
+    tree: BlockTree, level: int, nodes: EstimatedNodes, squares: Double
 ) -> NDArray[np.bool_]:
     """Test whether the energy of nodes is distributed over several children, bool (n,).
 
-    The limit of the squared shares is ``3 / (children + 2)``: half the energy in each of two out of
-    four children, or three quarters and one quarter in two children. `squares` are a result of
-    `kernels.rank_test`.
+    In every channel, the squared energy shares of the children on at least one side must add up to
+    at most ``3 / (children + 2)``. Of four children, two with half of the energy each are at this
+    limit, and one with 68 % beside three of 11 %; of two children, 85 % and 15 % are. `squares` is
+    a result of `kernels.compare_children`.
     """
     children = np.diff(tree.child_starts[level])
     limit = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)

@@ -1,10 +1,11 @@
 """Patterns of a level by colouring the square of the graph of unknown transport (thesis §5.1).
 
 Blocks i and j can be lit together if and only if for every block k the light between i and k or
-that between j and k is known (Lemma 1, Block Scheduling Lemma), so not if there is a k for which
-both are unknown (Lemma 2). Let ``G`` be the graph with an edge between blocks whose light is
-unknown; light of a block onto itself always is. Then blocks at most two edges apart can't be lit
-together. They are the edges of the square ``G^2``, whose colours are the patterns.
+that between j and k is known (Lemma 1, Block Scheduling Lemma). They can't be lit together if both
+are unknown for some k (Lemma 2). Let ``G`` be the graph with an edge between each two blocks whose
+light is unknown. The light from a block onto itself always counts as unknown, so that k may be i
+or j. Therefore two blocks that are at most two edges apart can't be lit together. Such pairs are
+the edges of the square ``G^2``. A colouring of ``G^2`` gives the patterns, one per colour.
 """
 
 from __future__ import annotations
@@ -14,11 +15,13 @@ import numpy as np
 from rfpipe.array_types import Bools
 from rfpipe.blocks import BlockTree
 from rfpipe.conflicts import colour_square, conflict_graph
-from rfpipe.methods.symmetric.nodes import Frontier, child_blocks
+from rfpipe.methods.symmetric.nodes import EstimatedNodes, child_blocks
 from rfpipe.patterns import Schedule
 
 
-def schedule_children(tree: BlockTree, level: int, nodes: Frontier, dark: Bools) -> Schedule:
+def schedule_children(
+    tree: BlockTree, level: int, nodes: EstimatedNodes, unseen: Bools
+) -> Schedule:
     """Return the patterns of `level`, which measure the children of unknown nodes.
 
     Parameters
@@ -26,9 +29,9 @@ def schedule_children(tree: BlockTree, level: int, nodes: Frontier, dark: Bools)
     tree : BlockTree
     level : int
         At least 1.
-    nodes : Frontier
+    nodes : EstimatedNodes
         Unknown nodes of the level above, at least one.
-    dark : ndarray of bool, shape (N,)
+    unseen : ndarray of bool, shape (N,)
         Rays, in tree order, without light in the floodlit image.
     """
     block_a, block_b = child_blocks(tree, level - 1, nodes)
@@ -40,4 +43,4 @@ def schedule_children(tree: BlockTree, level: int, nodes: Frontier, dark: Bools)
     pattern_of_block = np.full(tree.n_blocks(level), -1, np.int32)
     pattern_of_block[scheduled] = colour_square(graph)
     lit = pattern_of_block[tree.block_of_position(level)] >= 0
-    return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | dark).all()))
+    return Schedule.of_blocks(tree, level, pattern_of_block, bool((lit | unseen).all()))
