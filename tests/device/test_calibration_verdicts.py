@@ -91,7 +91,7 @@ def test_a_calibration_that_is_not_good_is_not_served(
     count, total = result.read("rays").facts["unseen_rays"], RAYS**2
     assert 0.3 * total < count < 0.7 * total
     verdicts = result.verdicts()
-    assert f"{count} of {total} rays are not seen" in verdicts["rays"]["verdict"]
+    assert f"The camera doesn't see {count} of {total} rays" in verdicts["rays"]["verdict"]
     assert "leaves the camera's view at the right edge" in verdicts["scene"]["verdict"]
     assert "NOT GOOD" in (folder / "report.html").read_text(encoding="utf-8")
     refused = CliRunner().invoke(app, ["serve", str(rig)], env={"RFPIPE_TOKEN": "x" * 32})

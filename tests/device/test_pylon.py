@@ -118,7 +118,7 @@ def test_a_lost_camera_is_reconnected(
     unplug(camera)
     assert camera.expose().shape == (3, *SHAPE, 1)
     assert camera.statistics == {"frames": 6, "failed": 0, "timed_out": 0, "reconnected": 1}
-    assert "camera 0815-0000 is back" in caplog.text
+    assert "camera 0815-0000 is reconnected" in caplog.text
 
 
 def test_a_camera_that_stays_lost_is_an_error_with_advice(
@@ -128,7 +128,7 @@ def test_a_camera_that_stays_lost_is_an_error_with_advice(
     with monkeypatch.context() as patch:
         patch.setattr(camera, "_serial", "0815-9999")
         with pytest.raises(
-            CaptureError, match=r"was lost and not found again in 4 attempts.*power, cable"
+            CaptureError, match=r"was lost and not reconnected in 4 attempts.*power, cable"
         ):
             camera.expose()
     assert camera.expose().shape == (3, *SHAPE, 1)
@@ -138,8 +138,11 @@ def test_a_camera_that_stays_lost_is_an_error_with_advice(
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        ({"shape": (40, 30_000)}, r"refuses Width = 30000.*It takes 1 to 4096"),
-        ({"serial": "40001234"}, r"40001234: 1 cameras answer: 0815-0000.*camera\.options\.serial"),
+        ({"shape": (40, 30_000)}, r"refuses Width = 30000.*Valid: 1 to 4096"),
+        (
+            {"serial": "40001234"},
+            r"40001234: 1 cameras respond: 0815.*camera\.options\.serial",
+        ),
         ({"nodes": {"Gain": 99.0}}, "refuses Gain = 99"),
     ],
 )

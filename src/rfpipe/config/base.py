@@ -190,6 +190,11 @@ class MethodSettings(PluginSettings):
         "default, the name of the section.",
     )
 
+    @property
+    def error_target(self) -> float | None:
+        """Target of the estimated error; None for a method without one."""
+        return None
+
 
 def _with_names(sections: object) -> object:
     """Add to each method's section the section's name, unless it names a method."""

@@ -204,7 +204,7 @@ class Config(Settings):
         bound = of_scene.verification.fail_above
         if bound is not None or self.capture.rig == "simulated":
             return bound
-        target = getattr(self.methods_of(scene)[method], "target_error", None)
+        target = self.methods_of(scene)[method].error_target
         margin = TARGET_MARGIN if of_scene.verification_pictures else 1.0
         return None if target is None else margin * float(target)
 

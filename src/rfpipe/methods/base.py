@@ -73,6 +73,11 @@ class ErrorOptions(Options):
         "to stop, a fraction of that light; null: any.",
     )
 
+    @property
+    def error_target(self) -> float:
+        """Target of the estimated error, `target_error`."""
+        return self.target_error
+
 
 class LevelImages(Protocol):
     """Radiance images of one level, read a few patterns at a time."""

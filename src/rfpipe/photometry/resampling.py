@@ -125,6 +125,21 @@ class ResampledSensor(Sensor):
         """Frames are the camera's counts, uint16."""
         return self.sensor.frame_dtype
 
+    @property
+    def bayer(self) -> str | None:
+        """Colour mosaic of the camera's frames; None without one."""
+        return self.sensor.bayer
+
+    @property
+    def black_level_counts(self) -> float:
+        """Black level of the camera in counts."""
+        return self.sensor.black_level_counts
+
+    @property
+    def white_level(self) -> float:
+        """Full scale of the camera in counts."""
+        return self.sensor.white_level
+
     def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:  # noqa: ARG002
         """Shape of one bracket of the camera, which doesn't depend on the rays."""
         return self.sensor.frame_shape(self.resampling.camera_shape, channels)

@@ -59,6 +59,21 @@ class Sensor(Protocol):
     def frame_dtype(self) -> np.dtype[Any]:
         """Dtype of frames: uint16 counts or float32 radiance."""
 
+    @property
+    def bayer(self) -> str | None:
+        """Colour mosaic of the frames, such as "RGGB"; None without one."""
+        return None
+
+    @property
+    def black_level_counts(self) -> float:
+        """Value of a frame without light."""
+        return 0.0
+
+    @property
+    def white_level(self) -> float:
+        """Value of a frame at full scale, where the sensor saturates; infinity without limit."""
+        return np.inf
+
     def frame_shape(self, camera_shape: tuple[int, ...], channels: int) -> tuple[int, ...]:
         """Shape of one bracket: (E, *camera_shape, C), or (E, *camera_shape) under a mosaic."""
 
@@ -85,6 +100,10 @@ class Sensor(Protocol):
 
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: everything that affects a frame."""
+
+    def arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays that restore the sensor together with `describe`; empty if it needs none."""
+        return {}
 
 
 @dataclass(frozen=True)

@@ -118,8 +118,7 @@ def is_coaxial(
     """
     if method.needs_coaxial_rig and asymmetry.lower_bound > accepted:
         raise _not_coaxial(asymmetry, accepted, was_coaxial=was_coaxial)
-    target: float = min(accepted, getattr(options, "target_error", None) or accepted)
-    return asymmetry.lower_bound <= target
+    return asymmetry.lower_bound <= min(accepted, options.error_target or accepted)
 
 
 def log_asymmetry(asymmetry: Asymmetry, accepted: float, chosen: Method[Any] | None) -> None:

@@ -174,7 +174,7 @@ def _read(
 ) -> tuple[Float, list[NDArray[np.float32]]]:
     """Merge the pictures to light on the rays, (K, H, W), and sample photosites of each frame."""
     shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
-    level = getattr(rig.camera_sensor, "black_level_counts", 0)
+    level = rig.camera_sensor.black_level_counts
     merge = rig.sensor.merging(np.full(shape, level, np.float32))
     light, frames = [], []
     for paths in brackets:
@@ -287,4 +287,4 @@ def _pixels(rig: OfflineRig, path: Path) -> NDArray[Any]:
 
 
 def _is_mosaic(rig: OfflineRig) -> bool:
-    return getattr(rig.camera_sensor, "bayer", None) is not None
+    return rig.camera_sensor.bayer is not None

@@ -148,7 +148,7 @@ class Sequencer:
         if lag is not None:
             places = playlist.places(lag)
             shorter = noise[number - 1] if number else None
-            saturated = SATURATION_FRACTION * getattr(self._sensor, "white_level", np.inf)
+            saturated = SATURATION_FRACTION * self._sensor.white_level
             white, measured = playlist.marker_noise(frames, lag, saturated, shorter)
             if len(noise) == number:
                 noise.append(measured)

@@ -61,8 +61,7 @@ class _Served:
         self.worker, self.leases = worker, worker.leases
         self.began, self.body_seconds = time.monotonic(), settings.body_seconds
         self.rig = _described(worker.rig, settings)
-        arrays = getattr(worker.rig.sensor, "arrays", dict)
-        self.arrays = pack_message({}, arrays(), deflate=True)  # a resampled sensor has arrays
+        self.arrays = pack_message({}, worker.rig.sensor.arrays(), deflate=True)
         # only one request's body is in memory at a time
         self.reading = asyncio.Lock()
 

@@ -227,7 +227,7 @@ def _verified(acquisition: Acquisition, transport: Transport, pictures: int) -> 
         capture.run(context, VERIFICATION)
     merge.run(context, VERIFICATION)
     verified = verify(storage, transport)
-    outcome = verified.against(getattr(plan.options, "target_error", None))
+    outcome = verified.against(plan.options.error_target)
     if outcome.verdict == "missed":
         _log.warning("the target is missed: %s", outcome.reason)
     return verified

@@ -220,10 +220,10 @@ def read_sensor(storage: Storage) -> Sensor:
 
 def _write_sensor(storage: Storage, sensor: Sensor) -> Facts:
     """Write the arrays of a resampled sensor; return their entry for the manifest."""
-    arrays = getattr(sensor, "arrays", None)
-    if arrays is None:
+    arrays = sensor.arrays()
+    if not arrays:
         return {}
-    return {SENSOR: storage.write_part(0, SENSOR, arrays(), sensor=sensor.describe())}
+    return {SENSOR: storage.write_part(0, SENSOR, arrays, sensor=sensor.describe())}
 
 
 def _is_exact(sensor: Sensor) -> bool:

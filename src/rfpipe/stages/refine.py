@@ -8,7 +8,7 @@ from functools import partial
 from typing import Any
 
 from rfpipe.jobs.job import Progress
-from rfpipe.methods import LevelImages
+from rfpipe.methods import LevelImages, Options
 from rfpipe.methods.images import ScheduledImages
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
@@ -64,12 +64,13 @@ def run(acquisition: Acquisition, level: int) -> Any:
     return state
 
 
-def _log_estimate(level_rows: Sequence[Mapping[str, Any]], options: object) -> None:
+def _log_estimate(level_rows: Sequence[Mapping[str, Any]], options: Options) -> None:
     """Log the error that a method estimated after the last of its levels, if it did."""
     last = last_estimate(level_rows)
     if last and last["level"] == level_rows[-1]["level"]:
-        target_error = getattr(options, "target_error", None)
-        target = "" if target_error is None else f", target {100 * target_error:.3g} %"
+        target = (
+            "" if options.error_target is None else f", target {100 * options.error_target:.3g} %"
+        )
         _log.info(
             "level %d: estimated error %s %% after %s%s", last["level"],
             percent(last["estimated_error"]), counted(last["patterns"], "pattern"), target,

@@ -243,7 +243,7 @@ def moved_camera(camera: Camera, after: int = 0, pixels: tuple[int, int] = (0, 1
 
     For a camera with a colour mosaic the shifts must be even, since the mosaic doesn't move.
     """
-    if getattr(camera.sensor, "bayer", None) is not None and (pixels[0] % 2 or pixels[1] % 2):
+    if camera.sensor.bayer is not None and (pixels[0] % 2 or pixels[1] % 2):
         raise InputError(f"pixels is {pixels}; expected even numbers for a camera with a mosaic")
 
     def change(frames: Frames, moment: Moment) -> Frames:
