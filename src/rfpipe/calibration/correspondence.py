@@ -231,13 +231,14 @@ def fit_map(camera: Double, projector: Double, trusted: Bools | None = None) -> 
     if len(camera) < LEAST_POINTS:
         raise CaptureError(
             f"only {len(camera)} camera pixels have a projector point; a map needs {LEAST_POINTS} "
-            "or more. Check focus and exposures of the step correspondence"
+            "or more",
+            remedy="Check focus and exposures of the step correspondence",
         )
     matrix, _ = cv2.findHomography(camera, projector, cv2.LMEDS)
     if matrix is None:
         raise CaptureError(
-            "the decoded projector points don't span a plane; check the projector's picture and "
-            "the step correspondence"
+            "the decoded projector points don't span a plane",
+            remedy="check the projector's picture and the step correspondence",
         )
     inlier = _inliers(projector - apply_homography(np.asarray(matrix), camera))
     homography = np.asarray(cv2.findHomography(camera[inlier], projector[inlier], 0)[0], np.float64)
@@ -340,9 +341,9 @@ def find_views(correspondence: Findings, views: tuple[int, int]) -> list[Quadril
     large = np.count_nonzero(sizes >= LEAST_POINTS)
     if large < count:
         raise CaptureError(
-            f"the camera's picture has {large} separate views; expected {views[0]} x {views[1]}. "
-            "Leave dark gaps between the mirrors' pictures, or set the views' corners "
-            "(calibrate.corners)"
+            f"the camera's picture has {large} separate views; expected {views[0]} x {views[1]}",
+            remedy="Leave dark gaps between the mirrors' pictures, or set the views' corners "
+            "(calibrate.corners)",
         )
     quads = [_corners(points[parts == part]) for part in np.argsort(sizes)[::-1][:count] + 1]
     middle = np.mean(quads, axis=1)

@@ -79,8 +79,8 @@ class CalibrationFolder:
         """
         if not self.is_done(step):
             raise StoreError(
-                f"{self.manifest(step)}: the step {step} isn't complete; run `rfpipe calibrate`, "
-                f"which measures it"
+                f"{self.manifest(step)}: the step {step} isn't complete",
+                remedy="run `rfpipe calibrate`, which measures it",
             )
         manifest, arrays = read_manifest_and_arrays(self.manifest(step), self.store(step))
         verdict = Verdict(manifest["standing"], manifest["verdict"])

@@ -68,9 +68,9 @@ def measure_latency(context: StepContext) -> Findings:
         faults = probe(context, PROBE_SECONDS)[2]
         if not faults:
             raise CaptureError(
-                "white pictures are not brighter than black ones in the camera's shortest "
-                "exposure. Check that the lens is open, that the projector lights the scene, and "
-                "that the exposure is long enough"
+                "white pictures are not brighter than black ones in the camera's shortest exposure",
+                remedy="Check that the lens is open, that the projector lights the scene, and "
+                "that the exposure is long enough",
             )
         return with_faults(Findings(Verdict("failed", "")), faults)
     findings = _findings(context, delay)

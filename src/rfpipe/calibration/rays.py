@@ -92,8 +92,8 @@ def measure_rays(context: StepContext) -> Findings:
     if unlit := np.count_nonzero(layout.pixels_of_ray == 0):
         raise CaptureError(
             f"{unlit} of {layout.pixels_of_ray.size} rays have no projector pixel, since "
-            f"{layout.shape[-2:]} rays per view are too many for a view's area on the projector. "
-            "Set fewer rays"
+            f"{layout.shape[-2:]} rays per view are too many for a view's area on the projector",
+            remedy="Set fewer rays",
         )
     blur = fit_blur(correspondence, maps)
     fit = fit_rays(maps, layout, valid.shape, blur)
@@ -267,8 +267,9 @@ def fit_rays(
     visible = area > 0.5 * np.maximum(layout.pixels_of_ray, 1)
     if not visible.any():
         raise CaptureError(
-            "the camera sees none of the rays; check their position on the projector "
-            "(calibrate.corners), and the step correspondence"
+            "the camera sees none of the rays",
+            remedy="check their position on the projector (calibrate.corners), and the step "
+            "correspondence",
         )
     if blur > 0:
         shares = csr_array(blurring(camera_shape, blur) @ shares)

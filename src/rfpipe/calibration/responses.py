@@ -151,8 +151,8 @@ def measure_light(context: StepContext) -> Findings:
     lit = full > 10 * np.sqrt(variance)
     if not lit.any():
         raise CaptureError(
-            "no camera pixel is lit by the projector's full light; check lamp, lens cap and "
-            "exposures"
+            "no camera pixel is lit by the projector's full light",
+            remedy="check lamp, lens cap and exposures",
         )
     lit &= full > 0.5 * np.percentile(full[lit], 90)  # darker pixels would add noise only
     ratios = np.array([image[lit] / full[lit] for image, _ in images])
@@ -215,8 +215,8 @@ def measure_transfer(context: StepContext) -> Findings:
     used = _fitted_bins(pairs, signal, variance, step, span)
     if used.sum() < 2:
         raise CaptureError(
-            "the flat pictures have no light between darkness and saturation; check projector and "
-            "lens, or choose other exposures"
+            "the flat pictures have no light between darkness and saturation",
+            remedy="check projector and lens, or choose other exposures",
         )
     bins = [values[used] for values in (signal, variance, pairs, step)]
     if gamma == 1:

@@ -179,7 +179,8 @@ def _check_needs(step: Step, conditions: StepConditions, folder: CalibrationFold
         if lines:
             raise InputError(
                 f"calibration step {step.name} needs {need}, which was measured with other "
-                f"settings: {'; '.join(lines)}. Calibrate without --step, or repeat that step first"
+                f"settings: {'; '.join(lines)}",
+                remedy="Calibrate without --step, or repeat that step first",
             )
 
 

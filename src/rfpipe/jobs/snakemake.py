@@ -28,8 +28,8 @@ def check_no_braces(name: str, path: str | Path) -> None:
     """
     if any(brace in str(path) for brace in "{}"):
         raise InputError(
-            f"{name} is {path}; Snakemake reads braces in a path as wildcards. Use a folder "
-            "whose path has no braces"
+            f"{name} is {path}; Snakemake reads braces in a path as wildcards",
+            remedy="Use a folder whose path has no braces",
         )
 
 

@@ -57,8 +57,8 @@ def free_if_dead(folder: Path, unlocking: str | None) -> bool:
     holder = StoreLock.holder(home / _RUN_LOCK)
     if holder is not None:
         raise LockedError(
-            f"{folder.absolute()}: process {holder} is running the workflow in this folder; wait "
-            "until it ends, or end it, then run again"
+            f"{folder.absolute()}: process {holder} is running the workflow in this folder",
+            remedy="wait until it ends, or end it, then run again",
         )
     with lock:  # two concurrent runs don't remove each other's locks
         present = _lock_files(home)

@@ -183,8 +183,9 @@ def connected(address: str, folder: Path) -> Iterator[tuple[HandOut, int]]:
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             raise ClusterError(
                 f"{setting}: within {_PATIENCE_SECONDS} s no scheduler with workers answered "
-                f"({error}). Start both as docs/parallel.md says, with certificates for tls://, or "
-                "set it to threads"
+                f"({error})",
+                remedy="Start both as docs/parallel.md says, with certificates for tls://, or "
+                "set it to threads",
             ) from error
         unfit = client.run(_unfit, folder.absolute(), _our_code(), on_error="return")
         for worker, reason in unfit.items():
@@ -217,8 +218,9 @@ class _Future:
         except (KilledWorker, CancelledError) as error:
             raise ClusterError(
                 f"{self.setting}: the work was lost ({type(error).__name__}: {error}). Finished "
-                "work is kept. See dask's logs: a worker may have too little memory. Start missing "
-                "workers and run again"
+                "work is kept",
+                remedy="See dask's logs: a worker may have too little memory. Start missing "
+                "workers and run again",
             ) from error
 
 

@@ -29,7 +29,8 @@ def check_mosaic(camera_shape: tuple[int, ...], channels: int) -> None:
     if channels != 3 or min(camera_shape[-2:]) < 2:
         raise InputError(
             f"a Bayer mosaic needs 3 channels of at least 2 x 2 pixels, not {channels} of "
-            f"{camera_shape[-2:]}; set bayer to null"
+            f"{camera_shape[-2:]}",
+            remedy="set bayer to null",
         )
 
 

@@ -148,8 +148,8 @@ class ResampledSensor(Sensor):
         """Raise InputError, since rays can't be converted to camera pixels."""
         raise InputError(
             f"{picture_name(key)}: a resampled sensor of {self.resampling.shape} rays can't "
-            f"simulate frames of radiance of shape {np.shape(radiance)}; take frames with the "
-            "camera, or use its CameraModel"
+            f"simulate frames of radiance of shape {np.shape(radiance)}",
+            remedy="take frames with the camera, or use its CameraModel",
         )
 
     def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:

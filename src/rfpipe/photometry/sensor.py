@@ -171,7 +171,7 @@ def check_black(black: NDArray[Any], exposures: int) -> None:
             "*camera_shape[, channels])"
         )
     if not np.isfinite(black).all():
-        raise CaptureError("the all-off frames hold NaN or infinity; take them again")
+        raise CaptureError("the all-off frames hold NaN or infinity", remedy="take them again")
 
 
 def check_shape(frames: NDArray[Any], bracket: tuple[int, ...], first_index: int) -> None:

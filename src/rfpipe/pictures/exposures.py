@@ -46,8 +46,9 @@ def relative_exposures(headers: Sequence[Header], names: Sequence[str]) -> NDArr
     if headers[0].exposure_s is None:
         differing = int(np.argmax(np.abs(np.log(exposures / exposures[0]))))
         raise InputError(
-            f"{names[differing]}: has another sensitivity or aperture than {names[0]}, and no file "
-            "states its exposure time. Give files with their metadata, or take all pictures alike"
+            f"{names[differing]}: has another sensitivity or aperture than {names[0]}, and no "
+            "file states its exposure time",
+            remedy="Give files with their metadata, or take all pictures alike",
         )
     return exposures
 
@@ -66,8 +67,8 @@ def _column(
         )
         more = f", as {len(missing) - 1} more" if len(missing) > 1 else ""
         raise InputError(
-            f"{missing[0]}: states no {title}{more}, but {example}. Give files that all have "
-            "their metadata, or none"
+            f"{missing[0]}: states no {title}{more}, but {example}",
+            remedy="Give files that all have their metadata, or none",
         )
     return np.array(values, np.float64)
 

@@ -50,7 +50,7 @@ def picture_files(folder: Path, more: tuple[str, ...] = ()) -> list[Path]:
         When the folder doesn't exist, or has no pictures.
     """
     if not folder.is_dir():
-        raise InputError(f"{folder}: is not a folder; give a folder of pictures")
+        raise InputError(f"{folder}: is not a folder", remedy="give a folder of pictures")
     suffixes = {*PLAIN, *RAW, *more}
     files = [
         path
@@ -139,8 +139,8 @@ def _picture(stored: Stored, reading: Reading) -> Picture:
     pixels = stored.pixels()[..., light_channels(stored)]
     if pixels.dtype.kind == "i" and (least := int(pixels.min(initial=0))) < 0:
         raise InputError(
-            f"{stored.path}: holds negative counts, down to {least}; counts start at 0. Add what "
-            "was subtracted, or save it as floats of linear light"
+            f"{stored.path}: holds negative counts, down to {least}; counts start at 0",
+            remedy="Add what was subtracted, or save it as floats of linear light",
         )
     kind = np.float32 if stored.is_light else np.uint16 if stored.white < 2**16 else np.uint32
     corrected = reading.correct(pixels)

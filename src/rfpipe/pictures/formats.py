@@ -117,8 +117,8 @@ def read_tiff(stored: Stored) -> Reading:
         raise InputError(f"{stored.path}: holds {space} colours; expected gray or R, G and B")
     if stored.spec.nchannels == 4 and not is_color:
         raise InputError(
-            f"{stored.path}: has 4 bands, not R, G, B and alpha; expected one, or R, G and B. Save "
-            "the bands that you mean as a picture"
+            f"{stored.path}: has 4 bands, not R, G, B and alpha; expected one, or R, G and B",
+            remedy="Save the bands that you mean as a picture",
         )
     header = header_of(stored, profile_encoding(stored))
     bits = int(stored.number("oiio:BitsPerSample") or 0)
@@ -131,7 +131,8 @@ def read_tiff(stored: Stored) -> Reading:
     if stored.is_light:
         raise InputError(
             f"{stored.path}: holds floats whose 0 is white (MinIsWhite), and does not say what is "
-            "black. Save it as MinIsBlack"
+            "black",
+            remedy="Save it as MinIsBlack",
         )
 
     def invert(pixels: NDArray[Any]) -> NDArray[Any]:
@@ -153,8 +154,8 @@ def read_exr(stored: Stored) -> Reading:
     if rows.start >= rows.stop or columns.start >= columns.stop:
         raise InputError(
             f"{stored.path}: has no pixel within its display window, {size[0]} x {size[1]}: its "
-            f"data begin {row_offset} pixels below and {column_offset} right of its corner. Save "
-            "it again"
+            f"data begin {row_offset} pixels below and {column_offset} right of its corner",
+            remedy="Save it again",
         )
 
     def place(pixels: NDArray[Any]) -> NDArray[Any]:

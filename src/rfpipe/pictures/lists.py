@@ -35,9 +35,13 @@ def read_text(path: Path) -> str:
         except UnicodeDecodeError:
             text = content.decode("cp1252")
     except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: can't be read as text: {error}; save it in UTF-8") from None
+        raise InputError(
+            f"{path}: can't be read as text: {error}", remedy="save it in UTF-8"
+        ) from None
     if "\0" in text:
-        raise InputError(f"{path}: has zero bytes, which no text in UTF-8 has; save it in UTF-8")
+        raise InputError(
+            f"{path}: has zero bytes, which no text in UTF-8 has", remedy="save it in UTF-8"
+        )
     return text
 
 
@@ -91,8 +95,8 @@ def read_directions(
         lines = lines[1:]
         if count != len(lines):
             raise InputError(
-                f"{path}: its first line counts {count} lights, it has {len(lines)}; add the "
-                "missing lines, or correct the number"
+                f"{path}: its first line counts {count} lights, it has {len(lines)}",
+                remedy="add the missing lines, or correct the number",
             )
     rows = _words(path, lines, 3)
     starts = [_after_picture_name(path, row) for row in rows]
@@ -110,8 +114,8 @@ def read_directions(
     unnamed = [line for (line, _), name in zip(rows, names, strict=True) if not name]
     if unnamed and any(names):
         raise InputError(
-            f"{path}: line {unnamed[0]} has no name of a picture, others have one; name all "
-            "pictures, or none"
+            f"{path}: line {unnamed[0]} has no name of a picture, others have one",
+            remedy="name all pictures, or none",
         )
     return names, np.array(directions, np.float32)
 
@@ -156,7 +160,8 @@ def _check_decimals(path: Path, rows: Sequence[Row], separators: str) -> None:
     if (has_point and has_comma) or ("," in separators and even and not has_point):
         raise InputError(
             f"{path}: line {rows[0][0]} is {' '.join(rows[0][1])!r}: commas may be decimal or "
-            "separate numbers; write decimal points"
+            "separate numbers",
+            remedy="write decimal points",
         )
 
 
@@ -190,7 +195,8 @@ def _columns(path: Path, rows: Sequence[list[str]], pictures: set[str]) -> int:
     if len(best) != 1:
         raise InputError(
             f"{path}: has {count} numbers per line, as in {' '.join(rows[0])!r}; which are x, y "
-            "and z is ambiguous. Write three, or the picture's name with its ending before them"
+            "and z is ambiguous",
+            remedy="Write three, or the picture's name with its ending before them",
         )
     return best[0]
 

@@ -82,7 +82,8 @@ def _check_names_differ(names: Sequence[str], source: str) -> None:
         if previous != index:
             raise InputError(
                 f"{source} {names[previous]} and {name} have one name but for folder, ending and "
-                "case; remove or rename one of them"
+                "case",
+                remedy="remove or rename one of them",
             )
 
 

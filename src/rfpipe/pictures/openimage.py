@@ -75,7 +75,8 @@ class Stored:
         if kind not in (*FULL_SCALE, *LIGHT):
             raise InputError(
                 f"{self.path}: has samples of type {kind}; expected integers of 8 to 32 bits, or "
-                "floats. Convert it to 16 bits"
+                "floats",
+                remedy="Convert it to 16 bits",
             )
         return FULL_SCALE.get(kind, 1)
 
@@ -112,8 +113,8 @@ class Stored:
             samples = file.read_image(self.index, 0, 0, self.spec.nchannels, self.spec.format)
             if (fault := _message(file)) or samples is None:
                 raise InputError(
-                    f"{self.path}: is cut or damaged, its pixels can't be read: {fault}. Copy it "
-                    "again from the camera, or leave it out"
+                    f"{self.path}: is cut or damaged, its pixels can't be read: {fault}",
+                    remedy="Copy it again from the camera, or leave it out",
                 )
             pixels: NDArray[Any] = samples
             return pixels
@@ -138,8 +139,8 @@ def _open(path: Path) -> Iterator[Any]:
         if isinstance(error, InputError):
             raise
         raise InputError(
-            f"{path}: can't be read as a picture, its header is damaged: {error}. Copy it again "
-            "from its source, or leave it out"
+            f"{path}: can't be read as a picture, its header is damaged: {error}",
+            remedy="Copy it again from its source, or leave it out",
         ) from error
     finally:
         if file is not None:
@@ -180,12 +181,15 @@ def _check_size(stored: Stored) -> None:
     """Raise InputError when a header states an impossible size, or deep data."""
     spec = stored.spec
     if spec.deep:
-        raise InputError(f"{stored.path}: holds deep data; flatten it to one colour per pixel")
+        raise InputError(
+            f"{stored.path}: holds deep data", remedy="flatten it to one colour per pixel"
+        )
     largest = max(spec.width * spec.height, spec.full_width * spec.full_height)
     if not 0 < 4 * spec.nchannels * largest <= LARGEST_BYTES or min(spec.width, spec.height) < 1:
         raise InputError(
             f"{stored.path}: states a size of {spec.height} x {spec.width} pixels in a window of "
-            f"{spec.full_height} x {spec.full_width}; its header is damaged. Copy it again"
+            f"{spec.full_height} x {spec.full_width}; its header is damaged",
+            remedy="Copy it again",
         )
 
 
@@ -199,7 +203,8 @@ def light_channels(stored: Stored) -> list[int]:
     if stored.format_name != "openexr" and len(names) > 4:
         raise InputError(
             f"{stored.path}: has {len(names)} bands ({', '.join(names)}); expected one, or R, G "
-            "and B. Save the bands that you mean as a picture"
+            "and B",
+            remedy="Save the bands that you mean as a picture",
         )
     if {"R", "G", "B"} <= set(names):
         return [names.index(name) for name in "RGB"]

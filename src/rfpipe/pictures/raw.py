@@ -80,7 +80,8 @@ def read_raw(source: Path | bytes, name: str = "") -> Raw:
         if raw.raw_type != rawpy.RawType.Flat:
             raise InputError(
                 f"{name}: has several colours at each photosite, it is demosaiced already (as "
-                "linear DNG); expected one count per photosite. Save it as TIFF of 16 bits, linear"
+                "linear DNG); expected one count per photosite",
+                remedy="Save it as TIFF of 16 bits, linear",
             )
         counts = np.array(raw.raw_image_visible)
         mosaic = _mosaic(raw)
@@ -161,8 +162,8 @@ def _header(path: Path, raw: Any, develop: bool) -> Header:
     """Return the header of an opened raw file."""
     if develop and raw.num_colors not in (1, 3):
         raise InputError(
-            f"{path}: has a mosaic of {raw.num_colors} colours; expected R, G and B. Save it "
-            "as TIFF of 16 bits, linear"
+            f"{path}: has a mosaic of {raw.num_colors} colours; expected R, G and B",
+            remedy="Save it as TIFF of 16 bits, linear",
         )
     metadata, sizes = raw.other, raw.sizes
     return Header(
@@ -193,15 +194,18 @@ def check_raw_mosaic(path: Path, header: Header, bayer: str | None) -> None:
         return
     setting = f"camera.bayer is {bayer or 'null'}"
     if header.mosaic is None:
-        raise InputError(f"{path}: has no colour mosaic, but {setting}. Set camera.bayer to null")
+        raise InputError(
+            f"{path}: has no colour mosaic, but {setting}", remedy="Set camera.bayer to null"
+        )
     if sorted(header.mosaic) != sorted("RGGB"):
         raise InputError(
             f"{path}: has the colour mosaic {header.mosaic}, which is not one of 2 x 2 of R, G, G "
-            f"and B; {setting}. Convert it to linear TIFF of 16 bits, with camera.bayer null"
+            f"and B; {setting}",
+            remedy="Convert it to linear TIFF of 16 bits, with camera.bayer null",
         )
     raise InputError(
-        f"{path}: has the colour mosaic {header.mosaic}, but {setting}. Set camera.bayer to "
-        f"{header.mosaic}"
+        f"{path}: has the colour mosaic {header.mosaic}, but {setting}",
+        remedy=f"Set camera.bayer to {header.mosaic}",
     )
 
 

@@ -52,7 +52,8 @@ def check_sequence(
         if first is not file:
             raise InputError(
                 f"{file}: has the name of {first.name} with another suffix; expected one file a "
-                "picture. Move one of them to another folder"
+                "picture",
+                remedy="Move one of them to another folder",
             )
     notes = [
         f"{', '.join(file.name for file in same[:_MOST_NAMES])}"
@@ -126,7 +127,8 @@ def _leaps(files: Sequence[Path]) -> list[str]:
         raise InputError(
             f"{files[widest + 1].parent}: holds {files[0].name} to {files[widest].name} and "
             f"{files[widest + 1].name} to {files[-1].name}: the camera's counter began again, and "
-            "names don't sort in the order of taking. Rename the files of the second group"
+            "names don't sort in the order of taking",
+            remedy="Rename the files of the second group",
         )
     first = int(gaps[0])
     more = f", and {len(gaps) - 1} more gaps" if len(gaps) > 1 else ""

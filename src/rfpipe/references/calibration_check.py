@@ -62,7 +62,7 @@ def check_calibration(
     if not text:
         return
     if refuse:
-        raise CaptureError(f"{text}. {recovery_advice(storage, 0)}")
+        raise CaptureError(text, remedy=recovery_advice(storage, 0))
     if level == 1:
         _log.warning("%s", text)
 

@@ -197,8 +197,8 @@ def _sum_of(merger: BracketMerger, batches: Iterable[Frames]) -> ImageSum:
 def _check_defects(defects: DefectMap) -> None:
     if defects.mask.all():
         raise CaptureError(
-            f"all {defects.mask.size} camera pixels are dead or hot; check the camera and its "
-            "exposures, or set merge.mask_defects to false"
+            f"all {defects.mask.size} camera pixels are dead or hot",
+            remedy="check the camera and its exposures, or set merge.mask_defects to false",
         )
     if defects.mask.any():
         _log.warning(

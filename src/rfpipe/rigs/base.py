@@ -105,7 +105,7 @@ def check_patterns(
         )
     if len(keys) != len(patterns):
         raise InputError(
-            f"{len(patterns)} patterns have {len(keys)} keys; give one key per pattern"
+            f"{len(patterns)} patterns have {len(keys)} keys", remedy="give one key per pattern"
         )
     return check_weights(patterns, "the batch of patterns", [picture_name(key) for key in keys])
 

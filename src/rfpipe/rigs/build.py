@@ -76,7 +76,8 @@ class DeviceRig(Closing):
             if calibrated is not None and tuple(calibrated) != tuple(shape):
                 raise InputError(
                     f"the {device} has {tuple(shape)} pixels, but the calibration was made with "
-                    f"{tuple(calibrated)}. Calibrate again, or restore the {device}'s size"
+                    f"{tuple(calibrated)}",
+                    remedy=f"Calibrate again, or restore the {device}'s size",
                 )
         self.projector, self.camera = projector, camera
         self.layout = layout

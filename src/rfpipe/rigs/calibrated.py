@@ -105,8 +105,8 @@ def load_calibration(folder: str | Path) -> Calibration:
     if not (folder / FACTS).is_file():
         command = shlex.join(["rfpipe", "calibrate", "RIG.yaml", "--output", str(folder)])
         raise StoreError(
-            f"{folder}: has no complete calibration ({FACTS} is missing); run `{command}`, or set "
-            "the rig's calibration to null"
+            f"{folder}: has no complete calibration ({FACTS} is missing)",
+            remedy=f"run `{command}`, or set the rig's calibration to null",
         )
     manifest, arrays = read_manifest_and_arrays(folder / FACTS, folder / ARRAYS)
     return Calibration(
@@ -127,8 +127,8 @@ def read_manifest_and_arrays(
     manifest, bundle = read_manifest(path), open_arrays(store)
     if bundle.digest != manifest["arrays"]:
         raise IntegrityError(
-            f"{store}: its digest is {bundle.digest}, but {path.name} has {manifest['arrays']}; "
-            "remove both and calibrate again"
+            f"{store}: its digest is {bundle.digest}, but {path.name} has {manifest['arrays']}",
+            remedy="remove both and calibrate again",
         )
     return manifest, bundle.read_all()
 
@@ -151,7 +151,8 @@ def sensor_of(config: RigConfig) -> CameraModel:
     except (TypeError, InputError) as error:
         raise ConfigError(
             f"calibration {config.calibration}: its camera parameters are inconsistent with the "
-            f"setting sensor: {error}. Calibrate again"
+            f"setting sensor: {error}",
+            remedy="Calibrate again",
         ) from error
 
 
@@ -162,7 +163,8 @@ def resampled_sensor(sensor: Sensor, resampling: Resampling | None) -> Sensor:
     if not isinstance(sensor, CameraModel):
         raise InputError(
             f"the sensor is a {type(sensor).__name__}; only frames of counts (CameraModel) can be "
-            "resampled to rays. Set the camera's parameters, or use frames of the rays' size"
+            "resampled to rays",
+            remedy="Set the camera's parameters, or use frames of the rays' size",
         )
     return ResampledSensor(sensor, resampling)
 

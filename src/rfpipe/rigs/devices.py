@@ -183,11 +183,12 @@ def shown_bracket(
                 name,
             )
         raise CaptureError(
-            f"the projector's picture was lost or hidden during {ATTEMPTS} exposures. Check the "
-            "projector's cable, and keep other windows and notifications off its monitor"
+            f"the projector's picture was lost or hidden during {ATTEMPTS} exposures",
+            remedy="Check the projector's cable, and keep other windows and notifications off "
+            "its monitor",
         )
     except CaptureError as error:
-        raise CaptureError(f"{name}: {error}") from error
+        raise CaptureError(f"{name}: {error.problem}", remedy=error.remedy) from error
 
 
 def check_frame_shape(
@@ -197,7 +198,8 @@ def check_frame_shape(
     if frames.shape != shape or frames.dtype != dtype:
         raise CaptureError(
             f"the camera returned {frames.dtype} frames of shape {frames.shape}; expected {dtype} "
-            f"{shape}. Check the camera's size, pixel format and exposures"
+            f"{shape}",
+            remedy="Check the camera's size, pixel format and exposures",
         )
     return frames
 
@@ -236,8 +238,8 @@ def code_table(light: NDArray[Any] | None) -> Codes:
     if not is_rising or not 0 < measured[-1] - measured[0] < np.inf:
         raise InputError(
             "projector response: the light of the codes 0 to 255 is not finite, or decreases; "
-            "expected 256 non-decreasing numbers, the last above the first. Measure it again, with "
-            "the lamp warm"
+            "expected 256 non-decreasing numbers, the last above the first",
+            remedy="Measure it again, with the lamp warm",
         )
     relative = (measured - measured[0]) / (measured[-1] - measured[0])
     between = (relative[1:] + relative[:-1]) / 2

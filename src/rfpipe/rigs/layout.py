@@ -60,8 +60,8 @@ def homography(shape: tuple[int, ...], corners: Quadrilateral) -> Double:
         np.linalg.inv(matrix)
     except np.linalg.LinAlgError:
         raise InputError(
-            f"the corners {list(corners)} don't span a quadrilateral; give four corners, no three "
-            "of them on a line"
+            f"the corners {list(corners)} don't span a quadrilateral",
+            remedy="give four corners, no three of them on a line",
         ) from None
     return matrix
 
@@ -172,8 +172,8 @@ class ProjectorLayout:
         """
         if RayDomain(domain_shape).is_stack:
             raise InputError(
-                f"layout: the ray domain {domain_shape} has views; a grid has one image (H, W). "
-                "Calibrate the rig to measure the positions of the views on the projector"
+                f"layout: the ray domain {domain_shape} has views; a grid has one image (H, W)",
+                remedy="Calibrate the rig to measure the positions of the views on the projector",
             )
         return cls.within(centred_corners(domain_shape, display_shape), domain_shape, display_shape)
 

@@ -274,7 +274,8 @@ def decode_patterns(
         raise TransferError("the message must hold the one array 'patterns'")
     if not 1 <= len(sent.keys) <= count_limit:
         raise TransferError(
-            f"the request has {len(sent.keys)} patterns; send 1 to {count_limit} in a request"
+            f"the request has {len(sent.keys)} patterns",
+            remedy=f"send 1 to {count_limit} in a request",
         )
     array, keys = arrays["patterns"], [tuple(key) for key in sent.keys]
     bits, floats = (len(keys), -(-prod(projector_shape) // 8)), (len(keys), *projector_shape)
@@ -321,8 +322,8 @@ def read_token(file: Path | None = None) -> str:
             ) from error
         if os.name == "posix" and mode & 0o077:
             raise ConfigError(
-                f"{file}: has the mode {mode:o}, so that other users may read the token; run: "
-                f"chmod 600 {file}"
+                f"{file}: has the mode {mode:o}, so that other users may read the token",
+                remedy=f"run: chmod 600 {file}",
             )
         token = token.strip()
     elif not token:

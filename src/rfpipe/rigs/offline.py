@@ -101,8 +101,8 @@ class OfflineRig:
         ):
             if part is not None and part.shape != shape:
                 raise InputError(
-                    f"the {name} has {part.shape} rays, but the scene's settings have {shape}. Set "
-                    "them to those of the calibration"
+                    f"the {name} has {part.shape} rays, but the scene's settings have {shape}",
+                    remedy="Set them to those of the calibration",
                 )
         self.camera_sensor = sensor
         self.sensor = resampled_sensor(sensor, resampling)
@@ -191,8 +191,9 @@ def _within(corners: Any, shape: tuple[int, ...], picture_shape: tuple[int, int]
     ray, count = layout.ray_of_pixel.ravel(), layout.pixels_of_ray
     if not count.all():
         raise InputError(
-            f"offline.camera_corners: {np.count_nonzero(count == 0)} of {prod(shape)} rays have no "
-            f"pixel in pictures of {picture_shape}; check the corners, or take a smaller shape"
+            f"offline.camera_corners: {np.count_nonzero(count == 0)} of {prod(shape)} rays have "
+            f"no pixel in pictures of {picture_shape}",
+            remedy="check the corners, or take a smaller shape",
         )
     pixels, matrix_shape = np.flatnonzero(ray != DARK), (prod(shape), prod(picture_shape))
     ones = csr_array((np.ones(len(pixels)), (ray[pixels], pixels)), shape=matrix_shape)
@@ -302,7 +303,8 @@ def write_sheet(
         if pictures.is_dir() and any(pictures.iterdir()):
             raise InputError(
                 f"{pictures}: has pictures of previous patterns, which changed with the settings "
-                "or the code; move them to another folder, then write the patterns again"
+                "or the code",
+                remedy="move them to another folder, then write the patterns again",
             )
     _clear(folder)
     for picture, (_, _, pattern) in zip(sheet.shown, displayed, strict=True):
@@ -367,7 +369,9 @@ def relative_to_sheet(path: Path, folder: Path) -> str:
     try:
         return Path(os.path.relpath(path.absolute(), folder.absolute())).as_posix()
     except ValueError as error:
-        raise InputError(f"{folder}: {error}; write the patterns to the drive of {path}") from None
+        raise InputError(
+            f"{folder}: {error}", remedy=f"write the patterns to the drive of {path}"
+        ) from None
 
 
 def run_paths(sheet: Sheet) -> tuple[Path, Path]:
@@ -392,8 +396,8 @@ def run_paths(sheet: Sheet) -> tuple[Path, Path]:
         if not exists(place):
             raise InputError(
                 f"{sheet.folder / MANIFEST}: the run's {name} at {path}, relative to the sheet's "
-                f"folder, is missing: {place} doesn't exist. Copy or move sheet and run together, "
-                f"or {remedy}"
+                f"folder, is missing: {place} doesn't exist",
+                remedy=f"Copy or move sheet and run together, or {remedy}",
             )
         paths.append(place)
     return paths[0], paths[1]
@@ -403,7 +407,8 @@ def read_sheet(folder: Path) -> Sheet:
     """Read a sheet; InputError if there is none, IntegrityError if it is damaged."""
     if not (folder / MANIFEST).is_file():
         raise InputError(
-            f"{folder}: has no {MANIFEST}; give the folder that 'rfpipe patterns' wrote, and put "
-            "the camera's pictures into its folder 'pictures', or give theirs by --pictures"
+            f"{folder}: has no {MANIFEST}",
+            remedy="give the folder that 'rfpipe patterns' wrote, and put the camera's pictures "
+            "into its folder 'pictures', or give theirs by --pictures",
         )
     return Sheet.model_validate({**read_manifest(folder / MANIFEST), "folder": folder})

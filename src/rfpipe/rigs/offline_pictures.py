@@ -68,8 +68,8 @@ class ValidPictures:
         if self.patterns[key] != fingerprint(np.asarray(pattern, np.float32)):
             raise CaptureError(
                 f"{self.files[key][0]}: shows a previous version of {picture_name(key)}, which "
-                "changed with the settings or the code. Write the patterns again with 'rfpipe "
-                "patterns', and take their pictures"
+                "changed with the settings or the code",
+                remedy="Write the patterns again with 'rfpipe patterns', and take their pictures",
             )
         return np.stack([_pixels(self.rig, path) for path in self.files[key]])
 
@@ -144,8 +144,9 @@ def _brackets_of(
     if len(files) != expected:
         raise CaptureError(
             f"{folder}: has {len(files)} pictures; {sheet.folder} has {len(sheet.shown)} patterns "
-            f"of {step} exposures, which need {expected}. Check that the first and the last "
-            "picture are present, and that no picture is doubled or from another series"
+            f"of {step} exposures, which need {expected}",
+            remedy="Check that the first and the last picture are present, and that no picture "
+            "is doubled or from another series",
         )
     return brackets, notes
 
@@ -164,8 +165,8 @@ def _check_markers(light: Float, folder: Path) -> None:
         )
     raise CaptureError(
         f"{folder}: the series doesn't begin with the marker and its complement, or doesn't end "
-        "with the complement: a picture is out of order, or belongs to another series. Check the "
-        "files' names, which are sorted by their numbers"
+        "with the complement: a picture is out of order, or belongs to another series",
+        remedy="Check the files' names, which are sorted by their numbers",
     )
 
 
@@ -199,17 +200,17 @@ def _checked_header(rig: OfflineRig, path: Path) -> Header:
     if header.size != rig.picture_shape:
         raise CaptureError(
             f"{path}: is {header.size[0]} x {header.size[1]} pixels (height x width); expected "
-            f"{rig.picture_shape[0]} x {rig.picture_shape[1]}. Set the positions of the rays in "
-            "the picture by offline.calibration, or by offline.picture_shape and "
-            "offline.camera_corners"
+            f"{rig.picture_shape[0]} x {rig.picture_shape[1]}",
+            remedy="Set the positions of the rays in the picture by offline.calibration, or by "
+            "offline.picture_shape and offline.camera_corners",
         )
     if isinstance(rig.camera_sensor, CameraModel):
         check_raw_mosaic(path, header, rig.camera_sensor.bayer)
     channels = 1 if _is_mosaic(rig) else rig.channels
     if header.channels != channels:
         raise CaptureError(
-            f"{path}: has {header.channels} channels; expected {channels}. Set the scene's "
-            "channels, and camera.bayer for a raw file's colour mosaic"
+            f"{path}: has {header.channels} channels; expected {channels}",
+            remedy="Set the scene's channels, and camera.bayer for a raw file's colour mosaic",
         )
     return header
 
@@ -226,8 +227,8 @@ def _by_exposure(
             expected_times = ", ".join(f"{exposure:g}" for exposure in exposures)
             raise CaptureError(
                 f"{path}: was exposed for {seconds:g} s; the bracket of {name} ({times} s) should "
-                f"have {expected_times} s, the setting camera.exposures. Check whether a picture "
-                "before it is missing or doubled"
+                f"have {expected_times} s, the setting camera.exposures",
+                remedy="Check whether a picture before it is missing or doubled",
             )
     return ordered
 
@@ -277,12 +278,13 @@ def _pixels(rig: OfflineRig, path: Path) -> NDArray[Any]:
         if (largest := int(pixels.max(initial=0))) > sensor.white_level:
             raise CaptureError(
                 f"{path}: has {largest} counts; full scale of camera.bits {sensor.bits} is "
-                f"{sensor.white_level}. Set camera.bits to the bits of the file, which are 16 if "
-                "counts are shifted to 16 bits, and camera.black_level_counts accordingly"
+                f"{sensor.white_level}",
+                remedy="Set camera.bits to the bits of the file, which are 16 if counts are "
+                "shifted to 16 bits, and camera.black_level_counts accordingly",
             )
         pixels = pixels.astype(np.uint16, copy=False)  # camera.bits is at most 16
     elif not np.isfinite(pixels).all():
-        raise CaptureError(f"{path}: has NaN or infinity; light is finite. Take it again")
+        raise CaptureError(f"{path}: has NaN or infinity; light is finite", remedy="Take it again")
     return pixels[..., 0] if _is_mosaic(rig) else pixels
 
 

@@ -174,7 +174,9 @@ class RemoteRig(Closing):
             if self._described().digest != self._rig.digest:
                 raise CaptureError(
                     f"{self.url}: the server's rig or its settings changed since this capture "
-                    "began. Restart the server with the previous settings, or run the capture again"
+                    "began",
+                    remedy="Restart the server with the previous settings, or run the capture "
+                    "again",
                 )
         return self._heart.lease
 
@@ -188,8 +190,8 @@ class RemoteRig(Closing):
         api = self._connection.send("GET", "/v1/health").json().get("api")
         if api != API:
             raise CaptureError(
-                f"{self.url}: has version {api} of the API; this rfpipe has version {API}. Run the "
-                "same version of rfpipe on both sides"
+                f"{self.url}: has version {api} of the API; this rfpipe has version {API}",
+                remedy="Run the same version of rfpipe on both sides",
             )
         return RigAnswer.model_validate_json(self._connection.send("GET", "/v1/rig").content)
 
@@ -203,7 +205,7 @@ class RemoteRig(Closing):
             return sensor_from_description(self._rig.sensor, arrays)
         except InputError as error:
             raise CaptureError(
-                f"{self.url}: {error}. Run the same version of rfpipe on both sides"
+                f"{self.url}: {error}", remedy="Run the same version of rfpipe on both sides"
             ) from error
 
 

@@ -68,8 +68,8 @@ def bound_socket(host: str, port: int) -> socket.socket:
         bound = socket.create_server((host, port), family=family, backlog=512)
     except (OSError, OverflowError) as error:
         raise ConfigError(
-            f"server: can't listen on {host}, port {port}: {error}. Stop the program that uses the "
-            "port, or choose another --port"
+            f"server: can't listen on {host}, port {port}: {error}",
+            remedy="Stop the program that uses the port, or choose another --port",
         ) from error
     # asyncio disables Nagle's delay of 40 ms per answer only if the protocol is given
     return socket.socket(family, socket.SOCK_STREAM, socket.IPPROTO_TCP, bound.detach())

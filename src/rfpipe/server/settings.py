@@ -50,8 +50,8 @@ class ServerSettings:
         if not (self.allow_remote or self.is_loopback):
             raise ConfigError(
                 f"server: {self.host} is not a loopback address, so that other machines could "
-                "connect over plain HTTP. Use an SSH tunnel to 127.0.0.1, which is safer, or pass "
-                "--allow-remote"
+                "connect over plain HTTP",
+                remedy="Use an SSH tunnel to 127.0.0.1, which is safer, or pass --allow-remote",
             )
 
     @property

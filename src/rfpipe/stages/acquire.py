@@ -156,8 +156,9 @@ def acquire(
     """
     if not hasattr(rig, "capture"):
         raise InputError(
-            f"{type(rig).__name__} can't capture; make a rig of a matrix or linear operator: "
-            "rfpipe.OperatorRig(matrix, camera_shape=(h, w), projector_shape=(h, w))"
+            f"{type(rig).__name__} can't capture",
+            remedy="make a rig of a matrix or linear operator: rfpipe.OperatorRig(matrix, "
+            "camera_shape=(h, w), projector_shape=(h, w))",
         )
     precautions = PRECAUTIONS["simulated" if is_simulated(rig) else "remote"]
     watch = precautions.watch if watch is None else watch

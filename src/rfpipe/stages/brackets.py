@@ -160,14 +160,15 @@ def take_brackets(rig: Rig, brackets: BracketSet, first: int, last: int) -> NDAr
     if block.shape[1:] != tuple(shape) or block.dtype != dtype:
         raise CaptureError(
             f"{brackets.name}, pattern {first}: the rig returned {block.dtype} frames of shape "
-            f"{block.shape[1:]}; expected {dtype} {tuple(shape)}. Check the camera's size, "
-            f"pixel format and exposures, {goes_on}"
+            f"{block.shape[1:]}; expected {dtype} {tuple(shape)}",
+            remedy=f"Check the camera's size, pixel format and exposures, {goes_on}",
         )
     if block.dtype.kind == "f" and not np.isfinite(block).all():
         pattern = first + int(np.argwhere(~np.isfinite(block))[0][0])
         raise CaptureError(
             f"{brackets.name}, pattern {pattern}: the rig returned NaN or infinity; light is "
-            f"finite. Check the rig, {goes_on}"
+            "finite",
+            remedy=f"Check the rig, {goes_on}",
         )
     return block
 

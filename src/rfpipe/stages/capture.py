@@ -265,8 +265,8 @@ def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: 
     for fault in faults_of_reference_brackets(samples[:black], samples[black:], camera):
         if watch == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(
-                f"black and white pictures show that {fault.text}. The capture ends here; "
-                f"{recovery_advice(storage, 0, captured['rig'].get('kind', ''))}"
+                f"black and white pictures show that {fault.text}. The capture ends here",
+                remedy=recovery_advice(storage, 0, captured["rig"].get("kind", "")),
             )
         _log.warning("black and white pictures show that %s", fault.text)
 

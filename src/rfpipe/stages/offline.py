@@ -70,8 +70,8 @@ class OfflineAcquisition:
     def __post_init__(self) -> None:
         if self.settings.capture.rig != "offline":
             raise InputError(
-                f"capture.rig is {self.settings.capture.rig}; set it to offline for pictures that "
-                "are taken by hand"
+                f"capture.rig is {self.settings.capture.rig}",
+                remedy="set it to offline for pictures that are taken by hand",
             )
 
     @property

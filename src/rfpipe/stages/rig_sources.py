@@ -73,8 +73,8 @@ class OfflineSource:
             assert isinstance(storage, FolderStorage)
             raise PicturesNeeded(
                 f"{Path(*storage.path.parts[-2:])}: {level_name(level)} waits for pictures",
-                remedy="Write its patterns with 'rfpipe patterns CONFIG', take them, and read the "
-                "pictures with 'rfpipe import FOLDER'",
+                remedy="Write its patterns with 'rfpipe patterns CONFIG', take them, and read "
+                "the pictures with 'rfpipe import FOLDER'",
             ) from needed
 
 
@@ -194,7 +194,9 @@ def check_retakes(config: Config, retakes: Collection[Retake]) -> None:
         try:
             _check_retake(config, folder, may_change_rig=is_complete(retakes, folder))
         except CaptureError as error:
-            raise CaptureError(f"{error}. --retake has set nothing aside") from error
+            raise CaptureError(
+                f"{error.problem}; --retake has set nothing aside", remedy=error.remedy
+            ) from error
 
 
 def _check_retake(config: Config, folder: FolderStorage, *, may_change_rig: bool) -> None:
@@ -223,7 +225,8 @@ def place_scene(command: str, scene: str) -> None:
     except (OSError, ValueError, subprocess.SubprocessError) as error:
         raise CaptureError(
             f"{scene} was not put before the rig: capture.placing {command!r} failed ({error}). "
-            "Nothing was captured; mend that and run again"
+            "Nothing was captured",
+            remedy="mend that and run again",
         ) from error
 
 
@@ -233,7 +236,8 @@ def _check_rays(rig: RemoteRig, rays: Mapping[str, Any], name: str) -> None:
     if actual != expected:
         raise CaptureError(
             f"{name}: the rig has {actual}; the settings of the scene say {expected} "
-            "(camera_shape: null for a coaxial rig). Set them to the rig's"
+            "(camera_shape: null for a coaxial rig)",
+            remedy="Set them to the rig's",
         )
 
 
@@ -243,8 +247,9 @@ def _check_same_rig(rig: RemoteRig, folder: FolderStorage) -> None:
     if recorded not in (None, described):
         raise CaptureError(
             f"{rig.url}: the rig is not that of the patterns captured before ("
-            f"{differing(recorded, described)}). Serve it with those settings, or "
-            f"begin anew with this rig: '{folder.retake_command()}', with the run's other options"
+            f"{differing(recorded, described)})",
+            remedy="Serve it with those settings, or "
+            f"begin anew with this rig: '{folder.retake_command()}', with the run's other options",
         )
 
 

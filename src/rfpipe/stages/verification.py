@@ -409,11 +409,12 @@ def check_bounds(
     excesses = [text for text in excesses if text]
     if excesses:
         raise VerificationError(
-            f"{'; '.join(excesses)}. Set verification.fail_above to accept more. The transport and "
-            f"all pictures are kept: see the captured and relit pictures in {page}. An error that "
-            "is large in all pictures is caused by the rig (moved, misaligned, a lamp that "
-            "changed); otherwise set a smaller target error. Patterns are 0 or 1, so that these "
-            "pictures don't test the projector's response"
+            "; ".join(excesses),
+            remedy="Set verification.fail_above to accept more. The transport and all pictures are "
+            f"kept: see the captured and relit pictures in {page}. An error that is large in all "
+            "pictures is caused by the rig (moved, misaligned, a lamp that changed); otherwise set "
+            "a smaller target error. Patterns are 0 or 1, so that these pictures don't test the "
+            "projector's response",
         )
 
 

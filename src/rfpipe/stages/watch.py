@@ -226,7 +226,7 @@ class Watcher:
             _log.warning("%s", text)
             return
         advice = recovery_advice(self.storage, self.level_brackets.level)
-        raise CaptureError(f"{text}. The capture ends here; {advice}")
+        raise CaptureError(f"{text}. The capture ends here", remedy=advice)
 
 
 def _exceeds_drift(difference: Difference, previous_gain: Double) -> bool:

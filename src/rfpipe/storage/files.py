@@ -465,9 +465,9 @@ def _refuse_or_warn(
     )
     if when_changed == "refuse":
         raise StaleStoreError(
-            f"{path}: holds {captured} captured patterns of other settings ({changed}); "
-            "restore those settings, or set capture.when_patterns_change to recapture to take "
-            f"these patterns anew (the old ones {fate})"
+            f"{path}: holds {captured} captured patterns of other settings ({changed})",
+            remedy="restore those settings, or set capture.when_patterns_change to recapture to "
+            f"take these patterns anew (the old ones {fate})",
         )
     _log.warning(
         "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns captured with "

@@ -81,8 +81,8 @@ class Retake:
         number = self._last_number()
         if not number:
             raise InputError(
-                f"--put-back: no pictures are set aside in {self.path.absolute()}; name a level "
-                "with a store capture.before_1.zarr"
+                f"--put-back: no pictures are set aside in {self.path.absolute()}",
+                remedy="name a level with a store capture.before_1.zarr",
             )
         with StoreLock(self.folder.path):
             for manifest in self._manifests():
@@ -159,7 +159,8 @@ def find_retakes(
         if acquisitions is not None and (scene, method) not in acquisitions:
             raise InputError(
                 f"{option} {name}: the settings have no acquisition of {scene} by {method}, only "
-                f"{', '.join(map('/'.join, acquisitions))}. Add it to them first"
+                f"{', '.join(map('/'.join, acquisitions))}",
+                remedy="Add it to them first",
             )
         retakes |= {key: captured[key] for key in keys}
     return list(retakes.values())
