@@ -48,8 +48,9 @@ scenes are omitted.
 - **Errors** are means over 96 pictures of the distribution of `relighting_pictures`: shapes of all
   scales, bars, and spots, a third each; in total, and of the *indirect* light, where the pattern is
   dark, on coaxial rigs.
-- **Held out** are scenes and seeds by the parity of their names' digest. Methods are worked on with
-  the open ones alone; the held out ones are looked at last, and marked by a star.
+- **Test scenes** and test seeds are chosen by the parity of their names' digest. Methods are
+  developed with all others, the **tuning scenes**, alone; test scenes are evaluated last, and
+  marked by a star.
 """
 _REGRET = """## Regret
 

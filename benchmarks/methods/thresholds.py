@@ -1,6 +1,6 @@
 """Effect of decision thresholds: ``python -m benchmarks.methods.thresholds [--targets 0.01]``.
 
-Each threshold is decreased and increased separately, and `auto` acquires the open scenes, seed 1,
+Each threshold is decreased and increased separately, and `auto` acquires tuning scenes, seed 1,
 in full light. A row has the ratio of patterns to the present thresholds, and of the mean error to
 the target, as geometric means over scenes; results/bench/thresholds.csv.
 """

@@ -26,7 +26,7 @@ from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
 
-SCENES = ["wedge_iv", "tilted_wedge"]  # an open scene and a held-out one
+SCENES = ["wedge_iv", "tilted_wedge"]  # a tuning scene and a test scene
 SMALL = ["--scenes", *SCENES, "--side", "8", "--seeds", "1", "--settings", "1", "--lights", "full"]
 
 

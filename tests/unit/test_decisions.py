@@ -9,6 +9,8 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
     NOT_SUITABLE,
+    Decision,
+    end,
     next_pattern_count,
     patterns_to_target,
 )
@@ -63,6 +65,11 @@ def after_residual_rounds(
     )
 
 
+def decision(method: AdaptiveMethod, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
+    """Return the decision after a round."""
+    return end(state) or method.decide(state, phase, is_last)
+
+
 @pytest.mark.parametrize(
     ("errors", "phase"),
     [
@@ -77,24 +84,24 @@ def test_near_far_continues_its_model_while_the_error_falls(
     errors: list[float], phase: Phase | None
 ) -> None:
     state = after_model_rounds(NearFar(), errors, 0.01)
-    assert NearFar().decide(state, Phase.MODEL, False).phase is phase
+    assert decision(NearFar(), state, Phase.MODEL, False).phase is phase
     # with a limit on patterns no hierarchy begins
     options = ErrorOptions(target_error=0.01, patterns=500)
-    limited = NearFar().decide(replace(state, options=options), Phase.MODEL, False).phase
+    limited = decision(NearFar(), replace(state, options=options), Phase.MODEL, False).phase
     assert limited is (Phase.MODEL if phase is Phase.HIERARCHY else phase)
 
 
 def test_an_error_of_noise_ends_the_acquisition() -> None:
     for noise, phase in ((0.02, None), (0.01, Phase.RESIDUAL)):
         state = after_model_rounds(NearFar(), [0.05, 0.03, 0.86 * 0.03], 0.01, noise)
-        assert NearFar().decide(state, Phase.MODEL, False).phase is phase
+        assert decision(NearFar(), state, Phase.MODEL, False).phase is phase
 
 
 def test_a_useful_residual_gets_further_rounds() -> None:
     state = after_model_rounds(NearFar(), [0.05, 0.03], 0.01)
     helped = replace(state, residual=EMPTY_RESIDUAL)
-    assert NearFar().decide(state, Phase.MODEL, False).phase is Phase.MODEL
-    assert NearFar().decide(helped, Phase.MODEL, False).phase is Phase.RESIDUAL
+    assert decision(NearFar(), state, Phase.MODEL, False).phase is Phase.MODEL
+    assert decision(NearFar(), helped, Phase.MODEL, False).phase is Phase.RESIDUAL
 
 
 @pytest.mark.parametrize(
@@ -109,7 +116,7 @@ def test_a_hierarchy_begins_where_blocks_would_take_more_patterns(
 ) -> None:
     state = after_model_rounds(NearFar(), [0.04, 0.02], target)
     state = after_residual_rounds(state, (12, 20), errors)
-    assert NearFar().decide(state, Phase.RESIDUAL, False).phase is phase
+    assert decision(NearFar(), state, Phase.RESIDUAL, False).phase is phase
 
 
 @pytest.mark.parametrize(
@@ -127,15 +134,15 @@ def test_dual_photography_begins_where_footprints_would_take_more_patterns(
     errors: tuple[float, ...], target: float, phase: Phase | None
 ) -> None:
     state = after_model_rounds(Footprints(), errors, target)
-    assert Footprints().decide(state, Phase.MODEL, False).phase is phase
+    assert decision(Footprints(), state, Phase.MODEL, False).phase is phase
 
 
 def test_a_scene_that_footprints_do_not_fit_ends_at_a_limit_of_patterns() -> None:
     state = after_model_rounds(Footprints(), [0.04], 0.01)
     state = replace(state, model=replace(state.model, is_suitable=False))
-    assert Footprints().decide(state, Phase.MODEL, False) == (Phase.HIERARCHY, NOT_SUITABLE)
+    assert decision(Footprints(), state, Phase.MODEL, False) == (Phase.HIERARCHY, NOT_SUITABLE)
     limited = replace(state, options=ErrorOptions(target_error=0.01, patterns=500))
-    assert Footprints().decide(limited, Phase.MODEL, False) == (None, NOT_SUITABLE)
+    assert decision(Footprints(), limited, Phase.MODEL, False) == (None, NOT_SUITABLE)
 
 
 def test_a_round_has_the_patterns_missing_by_extrapolation() -> None:
@@ -159,7 +166,7 @@ def test_both_targets_must_be_met() -> None:
         estimates = tuple(replace(estimate, indirect=0.1) for estimate in state.estimates)
         state = replace(state, options=options, estimates=estimates)
         assert state.excess[-1] == pytest.approx(max(0.9, 0.1 / indirect) / STOPPING_FRACTION)
-        assert NearFar().decide(state, Phase.MODEL, False).phase is phase
+        assert decision(NearFar(), state, Phase.MODEL, False).phase is phase
 
 
 def test_blocks_end_near_the_target_if_further_ones_hardly_help() -> None:
@@ -169,4 +176,4 @@ def test_blocks_end_near_the_target_if_further_ones_hardly_help() -> None:
         errors = (last * 1.1, last * 1.05, last)
         after = after_residual_rounds(state, (12, 20, 28), errors)
         assert patterns_to_target(after) == np.inf
-        assert NearFar().decide(after, Phase.RESIDUAL, False).phase is phase
+        assert decision(NearFar(), after, Phase.RESIDUAL, False).phase is phase

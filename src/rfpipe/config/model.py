@@ -44,7 +44,7 @@ TARGET_MARGIN = 1.5
 """Largest ratio of a measured error to the target error at which the target counts as met.
 
 Where a method stopped at its target by its own estimate, the errors of 96 pictures were at most 1.2
-times the target on the open scenes of ``docs/benchmark``; the mean of nine pictures scatters more.
+times the target on the benchmark's tuning scenes; the mean of nine pictures scatters more.
 """
 
 SMALL_RAYS = 4000

@@ -1,11 +1,13 @@
 """The adaptive loop: show patterns, fit models, estimate the error, decide how to continue.
 
-An acquisition passes through phases, each of several rounds and each of which it may skip::
+A *round* is one level of an acquisition: patterns, their pictures, and the fit to them. An
+acquisition passes through phases, each of several rounds and each of which it may skip::
 
     floodlit            one picture, from which a first model is made
     model               random patterns; the model is fitted to all pictures so far
     residual            random blocks; the residual of the model is fitted
-    hierarchy           levels of symmetric or dual photography, for light that no model describes
+    hierarchy           symmetric or dual photography, for light that no model describes; a round
+                        shows one level of the block tree
     hierarchy residual  random blocks; the residual of the hierarchy is fitted
 
 With the first round six held-out pictures are taken. After each round the transport that predicts
@@ -32,6 +34,7 @@ from rfpipe.methods.adaptive.decisions import (
     LIMIT_REACHED,
     Decision,
     HierarchyCost,
+    end,
     next_pattern_count,
     target_of,
 )
@@ -65,7 +68,7 @@ from rfpipe.transport.sum import SumTransport
 _log = logging.getLogger(__name__)
 
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
-"""Patterns of the rounds for a residual: each about 1.4 times as many as all before it."""
+"""Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
 
 # Largest number of patterns of a hierarchy, over the number that its `HierarchyCost` expects.
 _HIERARCHY_MARGIN = 4.0
@@ -115,7 +118,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     @abstractmethod
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
-        """Decide after a round of a phase; `is_last` if the phase has no other round."""
+        """Decide after a round of a phase at which the acquisition does not `end`.
+
+        `is_last` is True if the phase has no further round.
+        """
 
     # --- the loop
 
@@ -165,14 +171,19 @@ class AdaptiveMethod(Method[AdaptiveState]):
             after = self._fit_residual(after.with_cell_pictures(cell_pictures))
         after = self._with_best_model(after, state)
         is_last = shown.index + 1 == len(self.rounds(state.projector)[shown.phase])
-        return self._continue(after, self.decide(after, shown.phase, is_last))
+        decision = end(after) or self.decide(after, shown.phase, is_last)
+        return self._continue(after, decision)
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return the transport that predicts the held-out pictures best."""
         return self._best(state).transport
 
     def transport_of_dark_rays(self, state: AdaptiveState) -> Transport:
-        """Return the hierarchy's transport while it is refined, whatever its error."""
+        """Return the transport that predicts the light of rays that the next level leaves dark.
+
+        While the hierarchy is refined it is that of the hierarchy, whatever its error: the leaves
+        of its block tree are the rays that its next level leaves dark.
+        """
         if state.next_round is None or state.next_round.phase is not Phase.HIERARCHY:
             return self.transport(state)
         return self._hierarchy(state).transport(state.hierarchy_state)
@@ -233,7 +244,9 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _start_hierarchy(self, state: AdaptiveState) -> AdaptiveState:
         """Hand the floodlit picture over to the hierarchy."""
-        state = replace(state, tolerance=self.hierarchy_cost.tolerance * target_of(state.options))
+        state = replace(
+            state, hierarchy_tolerance=self.hierarchy_cost.tolerance * target_of(state.options)
+        )
         pictures, shape = _pictures(state), (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(images[0].T).reshape(shape)
@@ -261,10 +274,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if is_complete:
             after = self._fit_residual(after)
         after = after.with_estimate(self._best(after).estimate)
-        if after.meets_target:
-            return self._continue(after, Decision(None))
         phase = Phase.HIERARCHY_RESIDUAL if is_complete else Phase.HIERARCHY
-        return self._continue(after, Decision(phase))
+        return self._continue(after, end(after) or Decision(phase))
 
     # --- the best transport
 
@@ -364,7 +375,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         count = next_pattern_count(state, largest_count) if is_useful else 0
         if not state.options.patterns:
             return held_out, count
-        remaining = state.options.patterns - state.patterns
+        remaining = state.options.patterns - state.patterns_shown
         if remaining >= held_out + min(count, 1):
             return held_out, min(count, remaining - held_out)
         # without held-out pictures a round gives no estimate

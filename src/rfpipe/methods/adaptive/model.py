@@ -20,14 +20,17 @@ class AdaptiveModel(Protocol):
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Entries of the model in the table of levels, such as ``nodes``."""
+        """Entries of the round's row in the table of levels, see `Transport.level_rows`.
+
+        The columns are those of a hierarchy; ``nodes`` is the number of the model's cores.
+        """
 
     @property
     def is_suitable(self) -> bool:
         """False if the scene or rig can't be described by the model."""
 
     def next_patterns(self, key: int, count: int) -> Bools:
-        """Draw random patterns, bool (count, *projector_shape); other ones for each key."""
+        """Draw random patterns, bool (count, *projector_shape); they differ between keys."""
 
     def fit(self, pictures: Pictures) -> Self:
         """Fit the model to all pictures so far, the first of them floodlit."""

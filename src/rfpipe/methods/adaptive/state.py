@@ -20,11 +20,12 @@ from rfpipe.methods.states import MethodState, joined, with_prefix, without_pref
 STOPPING_FRACTION = 0.95
 """Estimated error at which an acquisition ends, relative to the target.
 
-Estimates have a standard deviation of 15 % on open scenes of at least 32 x 36 pixels and of 20 % on
-smaller ones. With this margin 98 % of the targets are met within a fifth.
+On the benchmark's tuning scenes (`rfpipe.methods.adaptive.decisions`), estimates have a standard
+deviation of 15 % from 32 x 36 pixels on and of 20 % on smaller images. With this margin 98 % of the
+results have an error of at most 1.2 times the target.
 """
 
-_PLAIN = ("residual_of_hierarchy", "tolerance")
+_PLAIN = ("residual_of_hierarchy", "hierarchy_tolerance")
 
 
 class Phase(StrEnum):
@@ -51,10 +52,11 @@ class Round:
     index : int
         Number of the round within its phase, from 0.
     key : int
-        Seed of its random patterns: 1 + the numbers of rounds of all phases before + `index`.
+        Number of the round over all phases: 1 + the largest numbers of rounds of all earlier
+        phases + `index`. Rounds draw different random patterns because their keys differ.
     held_out, count : int
-        Numbers of held-out patterns, and of random patterns after them. The patterns of the other
-        phases are not random.
+        Numbers of held-out patterns, and of random patterns after them; 0 for the floodlit pattern
+        and for the patterns of a hierarchy, which aren't random.
     """
 
     phase: Phase
@@ -87,9 +89,9 @@ class AdaptiveState(MethodState):
     hierarchy_state : state, optional
         State of symmetric or dual photography, once it has begun.
     hierarchy_levels : tuple of int
-        Numbers of the acquisition's levels that refined it.
-    tolerance : float
-        Its tolerance.
+        Numbers of the acquisition's levels that refined the hierarchy.
+    hierarchy_tolerance : float
+        Tolerance of symmetric or dual photography; 0 before it begins.
     """
 
     hierarchy_method: ClassVar[str]
@@ -106,14 +108,19 @@ class AdaptiveState(MethodState):
     residual_of_hierarchy: bool = False
     hierarchy_state: Any = None
     hierarchy_levels: tuple[int, ...] = ()
-    tolerance: float = 0.0
+    hierarchy_tolerance: float = 0.0
 
     # --- derived quantities
 
     @property
-    def patterns(self) -> int:
-        """Number of patterns so far."""
+    def patterns_shown(self) -> int:
+        """Number of patterns so far; `options.patterns` is the largest number, 0 for no limit."""
         return sum(row["patterns"] for row in self.rows)
+
+    @property
+    def allows_hierarchy(self) -> bool:
+        """True if there is no limit of patterns, at which a hierarchy might be incomplete."""
+        return not self.options.patterns
 
     @property
     def errors(self) -> list[float]:
@@ -122,7 +129,10 @@ class AdaptiveState(MethodState):
 
     @property
     def excess(self) -> list[float]:
-        """Estimated errors over 95 % of their targets: the larger of total and indirect light."""
+        """Estimated errors after each round, divided by 95 % of their targets.
+
+        The larger ratio of those of all light and of indirect light.
+        """
         total = STOPPING_FRACTION * self.options.target_error
         indirect = STOPPING_FRACTION * (self.options.target_indirect or np.inf)
         return [float(np.fmax(e.error / total, e.indirect / indirect)) for e in self.estimates]
@@ -222,7 +232,9 @@ def hierarchy_start(state: AdaptiveState) -> Any:
     method = get_method(state.hierarchy_method)
     assert isinstance(method, Method)
     significance = state.options.noise_significance
-    options = options_of(method, tolerance=state.tolerance, noise_significance=significance)
+    options = options_of(
+        method, tolerance=state.hierarchy_tolerance, noise_significance=significance
+    )
     return method.start(state.camera, state.projector, state.channels, options)
 
 

@@ -22,7 +22,6 @@ from rfpipe.methods.adaptive.decisions import (
     Decision,
     HierarchyCost,
     after_hierarchy_residual_round,
-    end,
     exceeds_hierarchy,
     is_nearly_met,
 )
@@ -273,7 +272,7 @@ class Footprints(AdaptiveMethod):
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
         """Decide after a round, by its phase."""
         if phase is Phase.MODEL:
-            return end(state) or _after_model_round(state, is_last)
+            return _after_model_round(state, is_last)
         return after_hierarchy_residual_round(state, is_last)
 
 
@@ -281,8 +280,7 @@ def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
     """Decide after a round of the model whose error is above the target."""
     assert state.model is not None
     is_wrong = len(state.errors) == 1 and state.errors[0] > WRONG_MODEL
-    may_start_hierarchy = not state.options.patterns
-    if may_start_hierarchy and (is_wrong or not state.model.is_suitable):
+    if state.allows_hierarchy and (is_wrong or not state.model.is_suitable):
         return Decision(Phase.HIERARCHY, NOT_SUITABLE)
     if not state.model.is_suitable:
         return Decision(None, NOT_SUITABLE)
@@ -290,6 +288,6 @@ def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
         return Decision(Phase.MODEL)
     if is_nearly_met(state):
         return Decision(None, "the error is close to the target")
-    if may_start_hierarchy:
+    if state.allows_hierarchy:
         return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
     return Decision(None, ALL_SHOWN) if is_last else Decision(Phase.MODEL)

@@ -23,7 +23,6 @@ from rfpipe.methods.adaptive.decisions import (
     Decision,
     HierarchyCost,
     after_hierarchy_residual_round,
-    end,
     exceeds_hierarchy,
     has_stalled,
     is_mostly_noise,
@@ -82,7 +81,7 @@ class NearFarModel:
 
     @property
     def counts(self) -> Mapping[str, int]:
-        """Number of cores, as ``nodes``."""
+        """Columns of the round's row in the table of levels: ``nodes`` is the number of cores."""
         return {} if self.smooth is None else {"nodes": len(self.smooth.basis.first)}
 
     @property
@@ -99,8 +98,9 @@ class NearFarModel:
 
     def fit(self, pictures: Pictures) -> Self:
         """Fit the indirect light to all pictures."""
-        # one solution for each scale, two for the sum of the channels, one for each channel
-        solutions = round(log2(coarsest_scale(self.shape))) + 2 + pictures.channels
+        # one solution for each scale, two for the sum of the channels, one for each of several
+        single_channels = pictures.channels if pictures.channels > 1 else 0
+        solutions = round(log2(coarsest_scale(self.shape))) + 2 + single_channels
         with steps("smooth light", solutions):
             return replace(self, smooth=fit_smooth_model(self.shape, pictures))
 
@@ -110,7 +110,7 @@ class NearFarModel:
         residual: Sequence[Transport] = (),
         hierarchy: Transport | None = None,
     ) -> SumTransport:
-        """Assemble indirect light; direct light is what the floodlit image has besides."""
+        """Assemble indirect light, and the remainder of the floodlit image as direct light."""
         if hierarchy is not None:
             parts = [hierarchy, *residual]
             return near_far_transport(self.shape, rows, None, self.floodlit, parts)
@@ -198,12 +198,12 @@ class NearFar(AdaptiveMethod):
 
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
         """Decide after a round, by its phase."""
-        if decision := end(state):
-            return decision
         if phase is Phase.MODEL:
             return _after_model_round(state, is_last)
         if phase is Phase.RESIDUAL:
             return _after_residual_round(state, is_last)
+        # after the hierarchy, its cost is the most that further rounds may take to improve an error
+        # that is close to the target
         if is_nearly_met(state) and exceeds_hierarchy(state, HIERARCHY):
             return Decision(None, _CLOSE)
         return after_hierarchy_residual_round(state, is_last)
@@ -214,9 +214,9 @@ def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
     is_exhausted = is_last or has_stalled(state)
     if is_exhausted and is_mostly_noise(state):
         return Decision(None, _NOISE)
-    if len(state.errors) == 1 and state.errors[0] > WRONG_MODEL and not state.options.patterns:
+    if len(state.errors) == 1 and state.errors[0] > WRONG_MODEL and state.allows_hierarchy:
         return Decision(Phase.HIERARCHY, NOT_SUITABLE)
-    # the residual was kept because it helps; blocks determine more of it than probes do
+    # the residual reduces the error; blocks determine more of it than the model's patterns do
     if is_exhausted or state.residual is not None:
         return Decision(Phase.RESIDUAL, "smooth light is not all there is")
     return Decision(Phase.MODEL)
@@ -230,6 +230,6 @@ def _after_residual_round(state: AdaptiveState, is_last: bool) -> Decision:
         return Decision(Phase.RESIDUAL)
     if is_nearly_met(state):
         return Decision(None, _CLOSE)
-    if not state.options.patterns:
+    if state.allows_hierarchy:
         return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
     return Decision(None, ALL_SHOWN) if is_last else Decision(Phase.RESIDUAL)
