@@ -5,6 +5,10 @@ B-splines of several scales (`rfpipe.transport.multiscale.MultiscaleBasis`). Cor
 normal variables with mean zero. Before any fit, their standard deviations fall with the squared
 distance of the splines; afterwards they are learned from the fitted cores, group by group. Splines
 of a finer scale are added only where the pictures need them.
+
+In footprint acquisition S is not symmetric. There each pair has two *core parts* instead, the
+symmetric and the antisymmetric part of its entries (`rfpipe.methods.footprints.functions`), and
+these functions treat core parts as cores.
 """
 
 from __future__ import annotations

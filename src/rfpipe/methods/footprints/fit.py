@@ -294,7 +294,7 @@ def _fit_channel(
     typical = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
     visibility = mapping.visibility
     projector_share = visibility * (mapping.means @ share) + (1 - visibility) * np.float32(typical)
-    # f and g are both scaled by the share, but their product only by one share: S takes one back
+    # f and g are both multiplied by the share, but light by one share only: S is divided by it
     light = IndirectLight(
         light.basis,
         light.f * share,

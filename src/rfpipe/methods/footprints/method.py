@@ -69,8 +69,9 @@ def patterns_in_round(number: int, views: int) -> int:
 
 
 def suits_random_patterns(projector: RayDomain, limit: int) -> bool:
-    """Test whether random patterns are worth a start; otherwise dual photography is.
+    """Test whether the model can be fitted to the random patterns of the first round.
 
+    Otherwise none are shown: dual photography follows, or the acquisition ends if it has a limit.
     The projector must have at least 96 rays per view, four times as many as the first round has
     patterns. With several views, `limit` must leave a floodlit pattern and more than four random
     ones for each view, besides the floodlit and the held-out pictures.
@@ -262,7 +263,8 @@ class Footprints(AdaptiveMethod):
 
     def rounds(self, projector: RayDomain) -> Rounds:
         """Return the rounds of all phases; the model's residual is fitted to its own rounds."""
-        counts = tuple(patterns_in_round(k, projector.views) for k in range(len(ROUNDS)))
+        views = projector.views
+        counts = tuple(patterns_in_round(number, views) for number in range(len(ROUNDS)))
         return {Phase.MODEL: counts, **hierarchy_rounds(projector)}
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> FootprintModel:

@@ -22,8 +22,8 @@ def view_patterns(shape: tuple[int, ...], key: int, count: int) -> Bools:
     Parameters
     ----------
     shape : tuple of int
-        The projector's ray domain. Several views are lit in turn. Then round 1 begins with one
-        floodlit pattern per view.
+        The projector's ray domain. Several views are lit in turn, and round 1 of several views
+        begins with one floodlit pattern per view.
     key : int
         Number of the round, from 1. A pattern depends on `key` and on its index in the round.
     count : int
