@@ -33,10 +33,10 @@ Devices = tuple[Any, Any]
 
 
 class Case(NamedTuple):
-    """A fault, and a regular expression of what each step says about it."""
+    """A fault, and a regular expression for the message of each step."""
 
     inject: Callable[[Any, Any, int], Devices]
-    said: str
+    message: str
 
 
 FAULTS: dict[str, Case] = {
@@ -125,13 +125,13 @@ MORE = {
 @pytest.mark.parametrize("name", [*FAULTS, *MORE])
 def test_calibration_names_the_fault(name: str, after: int, tmp_path: Path) -> None:
     case = {**FAULTS, **MORE}[name]
-    if case.said == "moved" and not after:
+    if case.message == "moved" and not after:
         pytest.skip("what lies so from the beginning is no motion")
     verdicts = verdicts_of(tmp_path, case, after)
     texts = {
         step: verdict["verdict"]
         for step, verdict in verdicts.items()
-        if re.search(case.said, verdict["verdict"])
+        if re.search(case.message, verdict["verdict"])
     }
     assert texts, verdicts
     first = next(iter(texts))
@@ -214,16 +214,16 @@ def test_offline_import_names_the_fault(name: str, after: int, tmp_path: Path) -
     desk.projector, desk.camera = inject(desk.projector, desk.camera, after)
     sheet = desk.sheet()
     desk.photograph(sheet)
-    said = desk.run("import", sheet)
+    output = desk.run("import", sheet)
     if name == "geometry" and after == 0:
-        assert "moved" not in said  # from the beginning: no motion
+        assert "moved" not in output  # from the beginning: no motion
         return
-    assert re.search(FAULTS[name].said, said), said
-    assert not WRONG_REMEDIES.search(said)
+    assert re.search(FAULTS[name].message, output), output
+    assert not WRONG_REMEDIES.search(output)
 
 
 ALARMS = re.compile(
-    "|".join([*(case.said for case in FAULTS.values()), "changes? from picture to"])
+    "|".join([*(case.message for case in FAULTS.values()), "changes? from picture to"])
 )
 
 

@@ -31,7 +31,7 @@ BEGINNING, LATER = 0, 82
 HARMLESS = {"drift", "late"}
 """Faults that the capture corrects: drift is divided out, late pictures are repeated."""
 
-NAMED = {name: case.said for name, case in FAULTS.items()}
+NAMED = {name: case.message for name, case in FAULTS.items()}
 
 
 def acquired(rig: DeviceRig, method: str = "auto", **changes: Any) -> Any:
@@ -53,19 +53,19 @@ def test_a_fault_is_named_and_ends_the_capture_early(
     if name in HARMLESS:
         with caplog.at_level(logging.WARNING):
             result = acquired(rig)
-        said = caplog.text
+        output = caplog.text
         steady = acquired(coaxial_rig())
         assert result.patterns == steady.patterns  # no asymmetry is suspected
         assert result.verification.mean_error < 1.1 * steady.verification.mean_error
     else:
         with pytest.raises(CaptureError) as caught:
             acquired(rig)
-        said = str(caught.value)
-        assert "warn" in said  # how to go on all the same
+        output = str(caught.value)
+        assert "warn" in output  # how to go on all the same
         assert rig.camera.count <= after + 100  # type: ignore[attr-defined]
-    assert re.search(NAMED[name], said, re.S), said
+    assert re.search(NAMED[name], output, re.S), output
     unrelated = set(NAMED) - {name, "geometry"}
-    assert [fault for fault in unrelated if re.search(NAMED[fault], said, re.S)] == []
+    assert [fault for fault in unrelated if re.search(NAMED[fault], output, re.S)] == []
 
 
 @pytest.mark.parametrize("name", sorted(set(FAULTS) - HARMLESS))
@@ -127,9 +127,9 @@ def test_half_the_light_lost_is_not_reported_as_gain(after: int) -> None:
     )
     with pytest.raises(CaptureError) as caught:
         acquired(rig)
-    said = str(caught.value)
-    assert re.search(r"moved.*partly dark", said)
-    assert not [name for name in set(NAMED) - {"geometry"} if re.search(NAMED[name], said, re.S)]
+    output = str(caught.value)
+    assert re.search(r"moved.*partly dark", output)
+    assert not [name for name in set(NAMED) - {"geometry"} if re.search(NAMED[name], output, re.S)]
 
 
 @pytest.mark.parametrize("method", ["auto", "near_far", "dual"])
@@ -145,8 +145,8 @@ def test_a_rig_that_differs_from_its_calibration_is_refused(inject, place, metho
         return inject(projector, after), camera
 
     options = {"progress": False, **({} if method == "dual" else {"target_error": 0.03})}
-    said = rf"was coaxial when it was calibrated; it no longer is: .*{place}.*calibrate again"
-    with pytest.raises(CaptureError, match=said):
+    output = rf"was coaxial when it was calibrated; it no longer is: .*{place}.*calibrate again"
+    with pytest.raises(CaptureError, match=output):
         rfpipe.acquire(coaxial_rig(projecting), method, **options)
     if method == "dual":  # users can allow it
         rfpipe.acquire(

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 
 
 def opened(chromium: Any, address: str | Path, query: str = "", **context: Any) -> Any:
-    """Open a viewer's page and wait for its data; `said` collects its console messages."""
+    """Open a viewer's page and wait for its data; `messages` collects its console messages."""
     page = chromium.new_context(viewport={"width": 1280, "height": 900}, **context).new_page()
-    page.said = []
-    page.on("console", lambda message: page.said.append(message.text))
-    page.on("pageerror", lambda error: page.said.append(str(error)))
-    page.asked = []
-    page.on("request", lambda request: page.asked.append(request.url))
+    page.messages = []
+    page.on("console", lambda message: page.messages.append(message.text))
+    page.on("pageerror", lambda error: page.messages.append(str(error)))
+    page.requests = []
+    page.on("request", lambda request: page.requests.append(request.url))
     page.goto(f"file://{address}{query}" if isinstance(address, Path) else address + query)
     wait_until(page, "document.body.dataset.ready !== undefined")
     return page
@@ -31,7 +31,7 @@ def wait_until(page: Any, condition: str, seconds: float = 60) -> None:
             return
         page.wait_for_timeout(50)
     status = page.inner_text("#status")
-    pytest.fail(f"{condition}: not in {seconds} s; the page says {status!r}, {page.said}")
+    pytest.fail(f"{condition}: not in {seconds} s; the page says {status!r}, {page.messages}")
 
 
 _PICTURE = """async ([light, dual, level]) => {

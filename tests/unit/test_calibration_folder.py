@@ -166,27 +166,27 @@ def test_the_verdict_names_a_needed_step_that_is_not_good(tmp_path: Path) -> Non
 
 
 @pytest.mark.parametrize(
-    ("first", "ambient", "longest", "said"),
+    ("first", "ambient", "longest", "message"),
     [(1e-3, 0.0, 0.05, "good. .*less noise"), (1e-3, 0.3, 0.004, "good. .*darken the room"),
      (2e-5, 0.0, 0.05, "NOT GOOD. Too dark.* times as long")],
 )  # fmt: skip
 def test_proposed_exposures_suit_a_dim_projector_and_the_room_light(
-    tmp_path: Path, first: float, ambient: float, longest: float, said: str
+    tmp_path: Path, first: float, ambient: float, longest: float, message: str
 ) -> None:
     bench, folder, run = begun(tmp_path, sensor=replace(CAMERA, exposures=(first, 4 * first)))
     bench.path._ambient = np.float32(ambient)
     run(["steadiness", "scene", "dark"])
     scene, dark = (folder.read(name) for name in ("scene", "dark"))
     assert longest < scene["proposed_exposures_s"][-1] < min(2 * longest, 1.02 * dark["bearable_s"])
-    assert re.match(said, str(scene.verdict))
+    assert re.match(message, str(scene.verdict))
 
 
 @pytest.mark.parametrize(
-    ("lamp", "room", "said"),
+    ("lamp", "room", "message"),
     [(0.0, 0.0, "sees no stripes of the projector"), (1.0, 5.0, "The all-off picture saturates")],
 )
 def test_a_rig_without_signal_gets_a_report(
-    tmp_path: Path, lamp: float, room: float, said: str, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, lamp: float, room: float, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
         latency, "LONGEST_SECONDS", 0.2
@@ -197,11 +197,11 @@ def test_a_rig_without_signal_gets_a_report(
     run()
     verdicts = folder.verdicts()
     assert set(verdicts) == set(STEPS)
-    assert said in verdicts["scene"]["verdict"]
+    assert message in verdicts["scene"]["verdict"]
     assert verdicts["rays"]["standing"] == "failed"
     text = build_calibration_report(folder).read_text(encoding="utf-8")
     assert "NOT MEASURED" in text
-    assert said in text
+    assert message in text
 
 
 def test_the_report_is_one_page(calibrated: Any) -> None:

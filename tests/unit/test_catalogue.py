@@ -59,9 +59,9 @@ def cells(page: Any, column: int) -> list[str]:
 
 def test_the_page_shows_states_sorts_and_filters(chromium: Any, listed: Path) -> None:
     page = chromium.new_context(viewport={"width": 1280, "height": 700}).new_page()
-    said: list[str] = []
+    page_errors: list[str] = []
     requests: list[str] = []
-    page.on("pageerror", lambda error: said.append(str(error)))
+    page.on("pageerror", lambda error: page_errors.append(str(error)))
     page.on("request", lambda request: requests.append(request.url))
     page.goto(f"file://{listed}")
     assert [it.splitlines()[0] for it in cells(page, 1)] == list(STATES)
@@ -89,7 +89,7 @@ def test_the_page_shows_states_sorts_and_filters(chromium: Any, listed: Path) ->
     page.set_viewport_size({"width": 400, "height": 700})  # size of a telephone
     right = "document.querySelector('tr:not([hidden]) .state').getBoundingClientRect().right"
     assert 0 < page.evaluate(right) < 400
-    assert not said
+    assert not page_errors
     assert all(url.startswith("file:") for url in requests)
 
 

@@ -58,10 +58,10 @@ def failure(
         with pytest.raises(SystemExit) as caught:
             main()
         assert caught.value.code == 1
-        said = capsys.readouterr().err
-        assert said.startswith("rfpipe: ")
-        assert "Traceback" not in said
-        return said
+        output = capsys.readouterr().err
+        assert output.startswith("rfpipe: ")
+        assert "Traceback" not in output
+        return output
 
     return failed
 
@@ -202,8 +202,8 @@ def test_run_checks_settings_in_its_folder_and_prints_the_report(
     Path("Snakefile").write_text("rule all:\n    output: 'done.txt'\n    shell: 'touch {output}'\n")
     Path("settings.yaml").write_text("scenes: {glass: {kind: 'glass.py:Glass'}}\n")
     options = ("--configfile", "settings.yaml", "--cores", "1")
-    said = failure("run", *options, "--directory", "elsewhere")
-    assert f"no file glass.py in {tmp_path / 'elsewhere'}" in said
+    output = failure("run", *options, "--directory", "elsewhere")
+    assert f"no file glass.py in {tmp_path / 'elsewhere'}" in output
     examples = Path(__file__).parents[1] / "examples"
     glass = (examples / "frosted_glass.py").read_text().replace("FrostedGlass", "Glass")
     Path("elsewhere/glass.py").write_text(glass)

@@ -69,8 +69,8 @@ def test_a_packed_run_is_readable_also_in_a_zip_and_is_restored(
     _, results = run
     packed = tmp_path / "packed"
     invoke = CliRunner().invoke
-    said = invoke(app, ["collection", "pack", str(results), "-o", str(packed)]).output
-    assert "are shared" in said
+    output = invoke(app, ["collection", "pack", str(results), "-o", str(packed)]).output
+    assert "are shared" in output
     plain = {name: of for name, of in contents(results).items() if ".lock" not in name}
     stored = sum(path.stat().st_size for path in packed.rglob("objects/*/*"))
     assert stored == sum(len(content) for content in set(plain.values()))

@@ -54,7 +54,7 @@ MISSING = {
 @pytest.mark.parametrize("inside", ["", "results"])
 @pytest.mark.parametrize("case", MISSING)
 def test_missing_parts_of_a_run_are_named(case: str, inside: str, tmp_path: Path) -> None:
-    made, says = MISSING[case]
+    made, message = MISSING[case]
     results = tmp_path / "results"
     results.mkdir()
     if "relight" in made:
@@ -62,7 +62,7 @@ def test_missing_parts_of_a_run_are_named(case: str, inside: str, tmp_path: Path
         write_manifest(results / "desk/dual/verification.json", {})
     elif made:
         (results / "desk/dual/L00").mkdir(parents=True)
-    with pytest.raises(StoreError, match=says):
+    with pytest.raises(StoreError, match=message):
         compare([tmp_path / inside])
 
 

@@ -213,12 +213,12 @@ def test_the_schema_contains_the_options_of_every_name(settings: Any, is_right: 
 def test_a_wrong_name_of_a_scene_hides_no_other_mistake() -> None:
     scene = {"kind": "wedge", "surfaces": ["texture", "white"], "shape": [6, 8], "channels": 1}
     camera = {"bayer": "RGGB"}  # which is compared with the scene once its name is valid
-    said = message({"scenes": {"Small": scene, "LARGE": {**scene, "rig": "x"}}, "camera": camera})
+    output = message({"scenes": {"Small": scene, "LARGE": {**scene, "rig": "x"}}, "camera": camera})
     for expected in (r"scenes\.Small is 'Small'", r"scenes\.LARGE is", r"LARGE\.rig is 'x'"):
-        assert re.search(expected, said), said
-    said = message({"scenes": {"Small": {**scene, "settings": {"camera": {"bitss": 8}}}}})
-    assert re.search(r"Small\.settings\.camera\.bitss is unknown", said), said
-    assert "renamed" not in said
+        assert re.search(expected, output), output
+    output = message({"scenes": {"Small": {**scene, "settings": {"camera": {"bitss": 8}}}}})
+    assert re.search(r"Small\.settings\.camera\.bitss is unknown", output), output
+    assert "renamed" not in output
 
 
 def test_every_mistake_is_reported_once() -> None:

@@ -118,12 +118,12 @@ def test_gray_code_by_name_fits_from_the_command_line(tmp_path: Path) -> None:
     settings = {"camera": {"exposures": [1.0], "bits": 8, "black_level_counts": 0}}
     (tmp_path / "camera.yaml").write_text(yaml.safe_dump(settings))
     for more in ([], ["--settings", tmp_path / "camera.yaml"]):
-        said = run(
+        text = run(
             "fit", tmp_path / "set", "-o", output, "--patterns", "gray:20x16",
             "--camera-bin", 2, *more,
         )  # fmt: skip
-        assert "by footprints with smooth light" in said
-        assert "by the mean picture" in said
+        assert "by footprints with smooth light" in text
+        assert "by the mean picture" in text
     transport = open_transport(output)
     assert transport.noise is not None
     light = transport.relight(np.ones((16, 20), np.float32))
@@ -146,8 +146,8 @@ def test_a_dead_light_of_a_dome_is_refused_by_name(tmp_path: Path) -> None:
     for index, picture in enumerate(light):
         write(tmp_path / f"light_{index:02d}.png", np.rint(230 * picture[..., None]).astype("u1"))
     output = tmp_path / "dome.zarr"
-    said = run("fit", tmp_path, "-o", output)
-    assert "error in 14 held-out pictures: " in said
+    text = run("fit", tmp_path, "-o", output)
+    assert "error in 14 held-out pictures: " in text
     assert open_transport(output).lights.shape == (14, 3)
     write(tmp_path / "light_05.png", np.zeros((24, 24, 1), np.uint8))
     with pytest.raises(InputError, match=r"light_05\.png"):

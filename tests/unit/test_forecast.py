@@ -126,13 +126,13 @@ def test_small_acquisitions_are_one_job(changes: dict[str, Any], jobs: str, why:
     assert why in config.jobs_and_reason[1]
 
 
-@pytest.mark.parametrize(("count", "said"), [(1, "1 acquisition."), (2, "2 acquisitions.")])
-def test_the_command_counts_acquisitions(count: int, said: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(("count", "message"), [(1, "1 acquisition."), (2, "2 acquisitions.")])
+def test_the_command_counts_acquisitions(count: int, message: str, tmp_path: Path) -> None:
     config = tmp_path / "config.yaml"
     scenes = {f"s{index}": {**PLANE, "shape": [5, 7]} for index in range(count)}
     config.write_text(yaml.safe_dump({"scenes": scenes, "methods": {"dual": {}}}))
     output = run("plan", config)
-    assert f"valid. {said} One job per acquisition, since no scene" in output
+    assert f"valid. {message} One job per acquisition, since no scene" in output
     assert ("One after the other" in output) == (count > 1)
 
 

@@ -84,7 +84,7 @@ def test_a_file_without_projector_is_coaxial_and_its_transport_symmetric(tmp_pat
 
 @needs_llvm
 @pytest.mark.parametrize(
-    ("given", "said"),
+    ("given", "message"),
     [
         ({"scene": "nonesuch"}, "two_blocks"),
         ({"scene": "no.xml"}, "can't be read"),
@@ -98,11 +98,11 @@ def test_a_file_without_projector_is_coaxial_and_its_transport_symmetric(tmp_pat
         ({"cameras": [{"origin": (0, 0, 0), "target": (0, 2, 0)}]}, "another point to look at"),
     ],
 )
-def test_invalid_scenes_and_rigs_are_refused(tmp_path: Path, given: dict, said: str) -> None:
+def test_invalid_scenes_and_rigs_are_refused(tmp_path: Path, given: dict, message: str) -> None:
     parts = given.pop("parts", None)
     if parts:
         given["scene"] = file_of(tmp_path, *parts)
-    with pytest.raises((ValidationError, InputError), match=said):
+    with pytest.raises((ValidationError, InputError), match=message):
         pictures(options(tmp_path, **given))
 
 

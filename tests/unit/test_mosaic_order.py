@@ -56,14 +56,14 @@ def test_an_order_that_the_light_does_not_reveal_is_unknown() -> None:
     assert mosaic_of(white[:4, :4], None).orders == ORDERS
 
 
-def scene_of(said: str, true: str, *, has_colours: bool) -> Findings:
+def scene_of(stated: str, true: str, *, has_colours: bool) -> Findings:
     """Run the step `scene` for a camera whose settings state a wrong order."""
     bench = wedge_bench(
         (12, 12), (96, 96), (48, 54), channels=3, sensor=replace(CAMERA, bayer=true)
     )
     tinted = bench.camera._radiance
     bench.camera._radiance = lambda: tinted() * TINT.astype(np.float32)  # type: ignore[method-assign]
-    camera = faults.MisreadMosaic(bench.camera, said)
+    camera = faults.MisreadMosaic(bench.camera, stated)
     projector = bench.projector
     if not has_colours:
         projector.show_colour = None  # type: ignore[assignment,method-assign]
@@ -72,14 +72,14 @@ def scene_of(said: str, true: str, *, has_colours: bool) -> Findings:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("said", ORDERS)
-def test_a_wrong_order_is_not_good_and_the_correct_one_is_named(said: str) -> None:
-    verdict = scene_of(said, "RGGB", has_colours=True).verdict
-    if said == "RGGB":
+@pytest.mark.parametrize("stated", ORDERS)
+def test_a_wrong_order_is_not_good_and_the_correct_one_is_named(stated: str) -> None:
+    verdict = scene_of(stated, "RGGB", has_colours=True).verdict
+    if stated == "RGGB":
         assert verdict.standing == "good"
         return
     assert verdict.standing == "poor"
-    assert f"sensor.bayer, {said}" in verdict.text
+    assert f"sensor.bayer, {stated}" in verdict.text
     assert "Set sensor.bayer to RGGB" in verdict.text
 
 

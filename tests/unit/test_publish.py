@@ -119,7 +119,7 @@ def test_the_command_prompts_once_for_licence_and_creators(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("stored", "says"),
+    ("stored", "message"),
     [
         ({"license": "CC BY 4.0"}, r"'CC BY 4.0'; it should be .* SPDX .*did you mean CC-BY-4.0\?"),
         ({"license": "cc-by"}, r"did you mean CC-BY-4.0\?"),
@@ -139,10 +139,10 @@ def test_the_command_prompts_once_for_licence_and_creators(run: Path) -> None:
         ("a desk", "a desk is unknown"),
     ],
 )
-def test_invalid_citations_are_explained(stored: object, says: str, run: Path) -> None:
+def test_invalid_citations_are_explained(stored: object, message: str, run: Path) -> None:
     (run / "publication.yaml").write_text(yaml.safe_dump(stored))
     given = [] if set(stored) & {"license", "creators"} else GIVEN
-    with pytest.raises(InputError, match=says):
+    with pytest.raises(InputError, match=message):
         published(run, *given)
     assert yaml.safe_load((run / "publication.yaml").read_text()) == stored
     assert not (run / "publication.zip").exists()
@@ -266,7 +266,7 @@ def test_user_code_that_changed_after_the_run_is_refused(case: str, run: Path) -
     report.write_text(json.dumps(facts))
     file.write_text("x = 1  # a remark changes no result\n")
     published(run, *GIVEN)
-    for text, says in (
+    for text, message in (
         ("x = 2", ["was edited after it made results/desk/dual", "restore", "rfpipe run"]),
         ("x =", [", line 1: isn't Python", "restore"]),
     ):
@@ -274,7 +274,7 @@ def test_user_code_that_changed_after_the_run_is_refused(case: str, run: Path) -
         provenance._parsed.cache_clear()  # held by another process that publishes
         with pytest.raises(InputError) as caught:
             published(run, *GIVEN, "--overwrite")
-        for words in (str(file), *says):
+        for words in (str(file), *message):
             assert words in str(caught.value)
 
 

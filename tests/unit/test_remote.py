@@ -111,7 +111,7 @@ def test_the_password_of_an_address_reaches_its_server(run: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("address", "says"),
+    ("address", "message"),
     [
         ("{server}/nothing.zip", "no such file"),
         ("{server}/results", "doesn't list its files"),
@@ -124,13 +124,13 @@ def test_the_password_of_an_address_reaches_its_server(run: Path) -> None:
     ],
 )
 def test_invalid_addresses_are_explained(
-    address: str, says: str, run: Path, monkeypatch: pytest.MonkeyPatch
+    address: str, message: str, run: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     use(monkeypatch, "http://127.0.0.1:9")
     monkeypatch.delenv("AWS_SECRET_ACCESS_KEY")
     with serving(run) as server, serving(run, ranges=False) as whole_files:
         named = address.format(server=server.address, no_ranges=whole_files.address)
-        with pytest.raises((StoreError, InputError), match=says) as caught:
+        with pytest.raises((StoreError, InputError), match=message) as caught:
             rfpipe.open_transport(named)
     for hidden in ("geheim", "Debug source", "\n"):
         assert hidden not in str(caught.value)
@@ -190,9 +190,9 @@ def test_missing_files_of_a_folder_on_a_web_server_are_found(tmp_path: Path) -> 
         assert "undamaged. 0 stores, 0 manifests and 4 other files" in verified(server.address)
         (tmp_path / "b.txt").unlink()
         (tmp_path / "d.txt").write_bytes(b"of another")
-        said = verified(server.address, status=1)
-    assert f"{server.address}/b.txt: is missing" in said
-    assert f"{server.address}/d.txt: is altered" in said
+        output = verified(server.address, status=1)
+    assert f"{server.address}/b.txt: is missing" in output
+    assert f"{server.address}/d.txt: is altered" in output
 
 
 def verified(path: Path | str, status: int = 0) -> str:

@@ -193,17 +193,17 @@ def image_of_one_colour(path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "damage", "said"),
+    ("name", "damage", "message"),
     [
         ("figures/leaves.png", image_of_one_colour, "leaves.png: blank"),
         ("tables/errors.csv", Path.unlink, "links to tables/errors.csv, which is missing"),
         ("index.html", lambda it: it.write_text(""), "has no picture"),
     ],
 )
-def test_faults_of_a_page_are_listed(results, tmp_path, name, damage, said):
+def test_faults_of_a_page_are_listed(results, tmp_path, name, damage, message):
     shutil.copytree(results / "report", tmp_path / "report")
     damage(tmp_path / "report" / name)
-    assert any(said in fault for fault in check_page(tmp_path / "report/index.html"))
+    assert any(message in fault for fault in check_page(tmp_path / "report/index.html"))
 
 
 @pytest.mark.slow

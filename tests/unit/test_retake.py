@@ -156,8 +156,8 @@ def test_retakes_of_offline_rigs_refer_to_withdrawing_pictures(
 def test_a_dry_run_changes_no_file(results: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(results.parent)
     before = present(results)
-    said = run("run", "--dry-run", "--retake", "vase/dual/2")
-    assert "results/vase/dual/L02: its pictures would be captured again" in said
+    output = run("run", "--dry-run", "--retake", "vase/dual/2")
+    assert "results/vase/dual/L02: its pictures would be captured again" in output
     assert present(results) == before
 
 

@@ -178,12 +178,12 @@ def test_a_changed_setting_is_measured_again_and_not_served(
         return
     with pytest.raises(ConfigError) as refused:
         check_settings(now, "mine.yaml")
-    said = str(refused.value)
-    assert said.startswith("mine.yaml: ")
-    assert f"{setting}" in said
-    assert " was " in said
-    assert ", is now " in said
-    assert "rfpipe calibrate" in said
+    output = str(refused.value)
+    assert output.startswith("mine.yaml: ")
+    assert f"{setting}" in output
+    assert " was " in output
+    assert ", is now " in output
+    assert "rfpipe calibrate" in output
     check_settings(now, "mine.yaml", force=True)
     assert setting in caplog.text
     caplog.clear()

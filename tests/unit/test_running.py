@@ -104,9 +104,9 @@ def test_results_without_snakemake_s_records_are_named(
     (records / name).write_text("{}")
     assert unrecorded(Path()) == ["copied/dual"]
     monkeypatch.setattr(sys.modules["rfpipe.cli.run"], "_status_of", lambda command: 0)
-    said = run_command("run")
-    assert "no records of the settings of copied/dual" in said
-    assert "--forceall" in said
+    output = run_command("run")
+    assert "no records of the settings of copied/dual" in output
+    assert "--forceall" in output
     assert "no records" not in run_command("run", "--forceall")
     (records / name).unlink()
     assert "and 1 more" in run_command("run")

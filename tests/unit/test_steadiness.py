@@ -210,7 +210,7 @@ def frames(image: Any, *gains: float, seed: int = 0) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("second", "repeated", "counted", "said"),
+    ("second", "repeated", "counted", "message"),
     [
         (frames(picture(2)), None, {}, ""),
         (frames(picture(1), seed=1), frames(picture(2)), {"doubted": 1, "stale": 1}, "queue"),
@@ -222,7 +222,7 @@ def test_frames_of_the_previous_picture_are_distinguished_from_flicker(
     second: Any,
     repeated: Any,
     counted: dict[str, int],
-    said: str,
+    message: str,
     monkeypatch: pytest.MonkeyPatch,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
@@ -232,5 +232,5 @@ def test_frames_of_the_previous_picture_are_distinguished_from_flicker(
     takes = iter([second, repeated])
     watch.capture("second", picture(2), lambda: next(takes))
     assert watch.statistics == {"doubted": 0, "stale": 0, "unsteady": 0, **counted}
-    assert said in caplog.text
-    assert bool(caplog.text) is bool(said)
+    assert message in caplog.text
+    assert bool(caplog.text) is bool(message)

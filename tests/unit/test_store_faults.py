@@ -61,11 +61,11 @@ store.close()
 """
 
 
-def running(code: str, path: Path, says: bytes) -> subprocess.Popen[bytes]:
+def running(code: str, path: Path, message: bytes) -> subprocess.Popen[bytes]:
     """Start a program and wait until it prints its first line."""
     program = subprocess.Popen([sys.executable, "-c", code, str(path)], stdout=subprocess.PIPE)
     assert program.stdout is not None
-    assert program.stdout.readline() == says
+    assert program.stdout.readline() == message
     return program
 
 

@@ -28,7 +28,7 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
 
 
 @pytest.mark.parametrize(
-    ("verdicts", "said", "rows"),
+    ("verdicts", "message", "rows"),
     [
         (VERDICTS, "desk by auto: Rays: NOT GOOD. Half of them are not seen.",
          [["Black level", "good"], ["Rays", "NOT GOOD"], ["Symmetry", "can't tell"]]),
@@ -37,12 +37,12 @@ def inputs_of(folder: Path, rig: dict[str, Any]) -> Any:
     ],
 )  # fmt: skip
 def test_a_report_shows_the_verdicts_on_its_rig(
-    tmp_path: Path, verdicts: dict[str, Any], said: str, rows: list[list[str]]
+    tmp_path: Path, verdicts: dict[str, Any], message: str, rows: list[list[str]]
 ) -> None:
     rig = {"kind": "devices", VERDICTS_KEY: verdicts}
     section = verdicts_section(inputs_of(tmp_path, rig))
     assert rig_standing(rig) == ("NOT GOOD" if verdicts else "no calibration")
-    assert section.text == [said]
+    assert section.text == [message]
     assert section.blocks[0].rows == rows
     assert not verdicts_section(inputs_of(tmp_path / "other", {"kind": "simulated"})).blocks
 

@@ -29,9 +29,9 @@ def results(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_page_is_self_contained_and_lists_facts(results: Path) -> None:
-    said = run("view", results / "corner" / "symmetric")
+    output = run("view", results / "corner" / "symmetric")
     text = Path("corner_symmetric.html").read_text("utf-8")
-    assert said.startswith("corner_symmetric.html: ")
+    assert output.startswith("corner_symmetric.html: ")
     assert "<h1>corner by symmetric</h1>" in text
     assert "20 x 24, 480 rays" in text
     assert not re.search(r'(src|href)="(?!data:)', text)
@@ -50,8 +50,8 @@ def test_a_transport_or_a_picture_is_compared(results: Path, tmp_path: Path) -> 
 
 
 def test_a_large_page_has_only_the_last_level(results: Path) -> None:
-    said = run("view", results / "corner" / "symmetric", "--largest", 0.01)
-    assert re.search(r"levels \d+\n", said)
+    output = run("view", results / "corner" / "symmetric", "--largest", 0.01)
+    assert re.search(r"levels \d+\n", output)
 
 
 @pytest.mark.parametrize(

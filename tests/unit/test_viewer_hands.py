@@ -33,8 +33,10 @@ def symmetric(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def page(chromium: Any, symmetric: Path) -> Iterator[Any]:
     result = opened(chromium, symmetric)
     yield result
-    assert result.said == []
-    assert all(re.match(r"file:|blob:|data:", address) for address in result.asked), result.asked
+    assert result.messages == []
+    assert all(re.match(r"file:|blob:|data:", address) for address in result.requests), (
+        result.requests
+    )
     result.context.close()
 
 
@@ -147,8 +149,8 @@ def test_wipe_and_difference_show_both_transports(page: Any) -> None:
     light, picture = shown(page)
     expected_other = relit(light, transport_of("near_far"))
     error = np.linalg.norm(picture - expected_other) / np.linalg.norm(expected_other)
-    said = float(re.search(r"Differs by ([\d.e-]+) %", page.inner_text("#compared"))[1])
-    assert said == pytest.approx(100 * error, rel=0.05)
+    output = float(re.search(r"Differs by ([\d.e-]+) %", page.inner_text("#compared"))[1])
+    assert output == pytest.approx(100 * error, rel=0.05)
     before = page.evaluate("$('seen').toDataURL()")
     page.locator("#difference").check()
     settled(page)
@@ -191,7 +193,7 @@ def test_a_damaged_link_still_opens(chromium: Any, symmetric: Path) -> None:
     settled(page)
     alike(page, transport_of("symmetric"))
     assert page.evaluate("[state.seenView, state.tone]") == [0, "soft"]
-    assert page.said == []
+    assert page.messages == []
     page.context.close()
 
 
@@ -330,7 +332,7 @@ def test_a_small_limit_keeps_the_last_level_and_the_comparison(
     wait_until(page, "still !== null")
     settled(page)
     assert "Differs by" in page.inner_text("#compared")
-    assert page.said == []
+    assert page.messages == []
     page.context.close()
 
 

@@ -42,5 +42,5 @@ def test_pictures_equal_those_of_python(chromium: Any, kind: str, tmp_path: Path
             visible = transport.truncate(level)
             check_pictures(page, visible, level, dual=False)
             check_pictures(page, visible.T, level, dual=True)
-        assert page.said == []
+        assert page.messages == []
         page.context.close()

@@ -21,9 +21,9 @@ SETTINGS = {"scenes": {"tiny": {"kind": "plane", "shape": [2, 3]}}, "methods": {
 @pytest.mark.parametrize("name", ["a{b}", "results{1}", "{n}", "open{", "a{b}/c"])
 def test_a_run_in_a_folder_with_braces_is_refused(tmp_path: Path, name: str) -> None:
     workflow = Workflow(tmp_path / name, SETTINGS)
-    said = workflow.run(TINY, succeeds=False)
-    assert f"the run's folder is {workflow.folder}; Snakemake takes braces" in said
-    assert "Traceback" not in said
+    output = workflow.run(TINY, succeeds=False)
+    assert f"the run's folder is {workflow.folder}; Snakemake takes braces" in output
+    assert "Traceback" not in output
     with pytest.raises(InputError, match=re.escape(f"{workflow.folder}; Snakemake takes braces")):
         run("run", "--directory", workflow.folder, "--configfile", workflow.config)
 
@@ -34,14 +34,14 @@ def test_a_workflow_in_a_folder_with_braces_is_refused(tmp_path: Path) -> None:
     shutil.copy(ROOT / "Snakefile", clone)
     shutil.copytree(ROOT / "workflow", clone / "workflow")
     workflow = Workflow(tmp_path / "run", SETTINGS)
-    said = workflow.run("--snakefile", str(clone / "Snakefile"), TINY, succeeds=False)
-    assert f"the workflow's folder is {clone}/workflow/rules; Snakemake takes braces" in said
-    assert "Traceback" not in said
+    output = workflow.run("--snakefile", str(clone / "Snakefile"), TINY, succeeds=False)
+    assert f"the workflow's folder is {clone}/workflow/rules; Snakemake takes braces" in output
+    assert "Traceback" not in output
 
 
 def test_a_calibration_in_a_folder_with_braces_is_refused(tmp_path: Path) -> None:
     workflow = Workflow(tmp_path, {**SETTINGS, "rig_file": "rig.yaml"})
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump({**RIG, "calibration": "mine{1}"}))
-    said = workflow.run("calibrate", succeeds=False)
-    assert "rig.yaml: calibration is mine{1}; Snakemake takes braces" in said
-    assert "Traceback" not in said
+    output = workflow.run("calibrate", succeeds=False)
+    assert "rig.yaml: calibration is mine{1}; Snakemake takes braces" in output
+    assert "Traceback" not in output

@@ -37,8 +37,8 @@ def test_a_failing_scene_stops_no_other_and_finished_scenes_persist(
     np.save(tmp_path / "bad.npy", matrix)
     rows = tmp_path / "scenes.csv"
     rows.write_text(ROWS.format(first="texture"))
-    said = workflow.run("--keep-going", succeeds=False)
-    assert "results/catalogue/index.html: 1 failed, 2 done" in said
+    output = workflow.run("--keep-going", succeeds=False)
+    assert "results/catalogue/index.html: 1 failed, 2 done" in output
     page = workflow.path("catalogue/index.html").read_text()
     assert "light transport is finite and not negative" in page  # the reason of the failure
     assert workflow.path("report/view/third_hadamard.html").exists()
@@ -46,13 +46,13 @@ def test_a_failing_scene_stops_no_other_and_finished_scenes_persist(
     before = workflow.contents("first/hadamard")
 
     np.save(tmp_path / "bad.npy", np.maximum(matrix, 0))
-    said = workflow.run("--keep-going")
-    assert "results/catalogue/index.html: 3 done" in said
-    assert f'"mem_mb", {machine_memory_mb()})' in said  # shared by parallel jobs
-    assert jobs(said) == {"acquire": 1, "relight": 1, "view": 1, "all": 1}
+    output = workflow.run("--keep-going")
+    assert "results/catalogue/index.html: 3 done" in output
+    assert f'"mem_mb", {machine_memory_mb()})' in output  # shared by parallel jobs
+    assert jobs(output) == {"acquire": 1, "relight": 1, "view": 1, "all": 1}
     assert workflow.contents("first/hadamard") == before
 
     rows.write_text(ROWS.format(first="white"))  # another row
-    said = workflow.run("--keep-going")
-    assert jobs(said) == {"acquire": 1, "relight": 1, "view": 1, "all": 1}
+    output = workflow.run("--keep-going")
+    assert jobs(output) == {"acquire": 1, "relight": 1, "view": 1, "all": 1}
     assert workflow.contents("first/hadamard") != before

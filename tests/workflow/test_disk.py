@@ -51,9 +51,9 @@ NEED = disk_bytes(CAMERA, SHAPE, 1, 2 + 2 + RAYS, RAYS)
 
 
 def test_the_estimate_bounds_the_disk_space_of_a_level(tmp_path: Path) -> None:
-    mine = acquisition(tmp_path)
+    stagewise = acquisition(tmp_path)
     before = bytes_on_disk(tmp_path)
-    for stage in (mine.capture, mine.merge, mine.normalize):
+    for stage in (stagewise.capture, stagewise.merge, stagewise.normalize):
         stage(0)
     metadata = sum(path.stat().st_size for path in tmp_path.rglob("*.json*"))
     assert bytes_on_disk(tmp_path) - before < NEED + 2 * metadata
@@ -62,53 +62,53 @@ def test_the_estimate_bounds_the_disk_space_of_a_level(tmp_path: Path) -> None:
 def test_a_capture_that_does_not_fit_is_refused_before_the_rig_is_touched(
     tmp_path: Path, disk: Disk, caplog: pytest.LogCaptureFixture
 ) -> None:
-    mine = acquisition(tmp_path)
+    stagewise = acquisition(tmp_path)
     disk(NEED - 1)
     with pytest.raises(StoreError) as error:
-        mine.capture(0)
+        stagewise.capture(0)
     message = str(error.value)
     assert str(tmp_path) in message
     assert f"up to {NEED / 1e6:.3g} MB" in message
     for advice in ("another disk", "capture.keep_raw to false", "the method's options"):
         assert advice in message
-    assert mine.rig.shown == []
+    assert stagewise.rig.shown == []
 
     disk(NEED)
     with caplog.at_level(logging.INFO, logger="rfpipe"):
-        mine.capture(0)
-    assert len(mine.rig.shown) == 4 + RAYS
+        stagewise.capture(0)
+    assert len(stagewise.rig.shown) == 4 + RAYS
     assert f"level 0: takes up to {NEED / 1e6:.3g} MB" in caplog.text
 
     disk(0)  # nothing to capture, so nothing to refuse
-    mine.capture(0)
+    stagewise.capture(0)
 
 
 def test_only_missing_items_are_counted(tmp_path: Path, disk: Disk) -> None:
-    mine = acquisition(tmp_path)
+    stagewise = acquisition(tmp_path)
 
     def stops(key: tuple[int, ...], frame: Any) -> Any:
         if key == (0, 7):
             raise KeyboardInterrupt
         return frame
 
-    mine.rig = FaultyRig(matrix_rig(noise=CAMERA), stops)
+    stagewise.rig = FaultyRig(matrix_rig(noise=CAMERA), stops)
     with pytest.raises(KeyboardInterrupt):
-        mine.capture(0, batch_patterns=1)
-    mine.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
+        stagewise.capture(0, batch_patterns=1)
+    stagewise.rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
     needed = disk_bytes(CAMERA, SHAPE, 1, RAYS - 7, RAYS)
     disk(needed - 1)
     with pytest.raises(StoreError, match="isn't begun"):
-        mine.capture(0)
+        stagewise.capture(0)
     disk(needed)
-    mine.capture(0)
-    assert mine.rig.shown == [(0, index) for index in range(7, RAYS)]
+    stagewise.capture(0)
+    assert stagewise.rig.shown == [(0, index) for index in range(7, RAYS)]
 
     # a repeated capture overwrites its merged images
-    mine.merge(0)
-    mine.rig = OperatorRig(matrix_rig()._operator, SHAPE, SHAPE, CAMERA, seed=9)
+    stagewise.merge(0)
+    stagewise.rig = OperatorRig(matrix_rig()._operator, SHAPE, SHAPE, CAMERA, seed=9)
     present = bytes_on_disk(tmp_path / "L00/merge.zarr")
     disk(NEED - present - 1)
     with pytest.raises(StoreError, match="are used already"):
-        mine.capture(0)
+        stagewise.capture(0)
     disk(NEED - present)
-    mine.capture(0)
+    stagewise.capture(0)

@@ -52,11 +52,11 @@ class DimmingRig:
 
 def begun(path: Path, loss: float = 0.2) -> StagewiseAcquisition:
     """Return an acquisition whose next stage is the capture of level 1."""
-    mine = StagewiseAcquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
-    mine.plan = Plan.of("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
-    mine.level(0)
-    mine.schedule(1)
-    return mine
+    acquisition = StagewiseAcquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
+    acquisition.plan = Plan.of("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
+    acquisition.level(0)
+    acquisition.schedule(1)
+    return acquisition
 
 
 @pytest.fixture
@@ -75,8 +75,8 @@ def every_ray(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(symmetric.Symmetric, "next_schedule", one_ray_each)
 
 
-def images(mine: StagewiseAcquisition) -> np.ndarray:
-    with mine.folder.pictures(1, "merge") as frames:
+def images(acquisition: StagewiseAcquisition) -> np.ndarray:
+    with acquisition.folder.pictures(1, "merge") as frames:
         return frames.read(0, RAYS)[:, 0]
 
 
@@ -86,11 +86,11 @@ pytestmark = pytest.mark.usefixtures("every_ray")
 def test_the_loss_of_the_lamp_is_measured_and_reported(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    mine = begun(tmp_path)
+    acquisition = begun(tmp_path)
     with caplog.at_level(logging.INFO):
-        mine.capture(1, **WATCHING)
-    mine.merge(1)
-    drift = mine.folder.read_manifest(1, "merge")["check_pictures"]
+        acquisition.capture(1, **WATCHING)
+    acquisition.merge(1)
+    drift = acquisition.folder.read_manifest(1, "merge")["check_pictures"]
     expected = [1 - 0.2 * position / RAYS for position in check_positions(RAYS, EVERY)]
     noise = np.array(drift["deviation"])
     assert 1e-4 < noise.max() < 0.02
@@ -106,9 +106,9 @@ def test_the_loss_of_the_lamp_is_measured_and_reported(
 
 def test_corrected_images_equal_those_of_a_steady_lamp(tmp_path: Path) -> None:
     steady, dimming = begun(tmp_path / "steady", loss=0.0), begun(tmp_path / "dimming")
-    for mine in (steady, dimming):
-        mine.capture(1, **WATCHING)
-        mine.merge(1)
+    for acquisition in (steady, dimming):
+        acquisition.capture(1, **WATCHING)
+        acquisition.merge(1)
     expected, uncorrected = images(steady), images(dimming)
     dimming.merge(1, divide_out_drift=True)
     corrected = images(dimming)
@@ -128,11 +128,13 @@ def test_an_interrupted_watched_capture_ends_with_the_same_bytes(
     with pytest.raises(CaptureError, match="broken"):
         stopped.capture(1, **WATCHING, batch_patterns=2)
     stopped.rig.stops_at = None
-    for mine in (uninterrupted, stopped):
-        mine.capture(1, **WATCHING)
-        mine.merge(1, divide_out_drift=True)
+    for acquisition in (uninterrupted, stopped):
+        acquisition.capture(1, **WATCHING)
+        acquisition.merge(1, divide_out_drift=True)
     assert len(set(stopped.rig.keys)) == len(stopped.rig.keys)  # no picture is repeated
-    manifests = [mine.folder.read_manifest(1, "merge") for mine in (uninterrupted, stopped)]
+    manifests = [
+        acquisition.folder.read_manifest(1, "merge") for acquisition in (uninterrupted, stopped)
+    ]
     assert manifests[0]["digest"] == manifests[1]["digest"]
     assert manifests[0]["check_pictures"] == manifests[1]["check_pictures"]
 
@@ -140,42 +142,47 @@ def test_an_interrupted_watched_capture_ends_with_the_same_bytes(
 def test_a_level_begun_without_check_pictures_continues_without_them(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    mine = begun(tmp_path)
-    mine.rig.stops_at = (1, 4)
+    acquisition = begun(tmp_path)
+    acquisition.rig.stops_at = (1, 4)
     with pytest.raises(CaptureError, match="broken"):
-        mine.capture(1, batch_patterns=2)
-    mine.rig.stops_at = None
-    mine.capture(1, **WATCHING)
-    assert "check_pictures" not in mine.folder.read_manifest(1, "capture")
-    mine.merge(1, divide_out_drift=True)
-    assert "check_pictures" not in mine.folder.read_manifest(1, "merge")
+        acquisition.capture(1, batch_patterns=2)
+    acquisition.rig.stops_at = None
+    acquisition.capture(1, **WATCHING)
+    assert "check_pictures" not in acquisition.folder.read_manifest(1, "capture")
+    acquisition.merge(1, divide_out_drift=True)
+    assert "check_pictures" not in acquisition.folder.read_manifest(1, "merge")
 
 
 def test_a_changed_interval_does_not_affect_a_level_already_begun(tmp_path: Path) -> None:
-    mine = begun(tmp_path)
-    mine.capture(1, **WATCHING)
-    n_pictures = len(mine.rig.keys)
+    acquisition = begun(tmp_path)
+    acquisition.capture(1, **WATCHING)
+    n_pictures = len(acquisition.rig.keys)
     for every in (0, 10 * EVERY):
-        mine.capture(1, watch=WATCHING["watch"], check_interval=every)
-        assert mine.folder.read_manifest(1, "capture")["check_pictures"]["interval"] == EVERY
-    assert len(mine.rig.keys) == n_pictures
+        acquisition.capture(1, watch=WATCHING["watch"], check_interval=every)
+        assert acquisition.folder.read_manifest(1, "capture")["check_pictures"]["interval"] == EVERY
+    assert len(acquisition.rig.keys) == n_pictures
 
 
 def test_the_lamp_warms_up_when_it_may_have_been_off(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
     monkeypatch.setattr(capture, "_SECONDS_BETWEEN_BRACKETS", 0.02)
-    mine = StagewiseAcquisition(tmp_path, DimmingRig(matrix_rig(noise=CAMERA)))
-    mine.schedule(0)
+    acquisition = StagewiseAcquisition(tmp_path, DimmingRig(matrix_rig(noise=CAMERA)))
+    acquisition.schedule(0)
     with caplog.at_level(logging.INFO):
-        mine.capture(0, warm_up_minutes=0.1 / 60)
-    shown = [key for key in mine.rig.keys if key[0] == WARM_UP_KEY]
+        acquisition.capture(0, warm_up_minutes=0.1 / 60)
+    shown = [key for key in acquisition.rig.keys if key[0] == WARM_UP_KEY]
     assert 2 <= len(shown) <= 6
-    assert mine.rig.keys[: len(shown)] == shown
-    with PictureStore.open(mine.folder.store(0, "capture")) as frames:
+    assert acquisition.rig.keys[: len(shown)] == shown
+    with PictureStore.open(acquisition.folder.store(0, "capture")) as frames:
         assert frames.shape[0] == 1
-    for stage in (mine.merge, mine.normalize, mine.refine, mine.schedule):
-        stage(1 if stage == mine.schedule else 0)
-    n_pictures = len(mine.rig.keys)
-    mine.capture(1, warm_up_minutes=60)  # it was on a moment ago
-    assert not [key for key in mine.rig.keys[n_pictures:] if key[0] == WARM_UP_KEY]
+    for stage in (
+        acquisition.merge,
+        acquisition.normalize,
+        acquisition.refine,
+        acquisition.schedule,
+    ):
+        stage(1 if stage == acquisition.schedule else 0)
+    n_pictures = len(acquisition.rig.keys)
+    acquisition.capture(1, warm_up_minutes=60)  # it was on a moment ago
+    assert not [key for key in acquisition.rig.keys[n_pictures:] if key[0] == WARM_UP_KEY]

@@ -27,13 +27,13 @@ def test_a_run_uploads_its_results_to_a_bucket(
     settings = yaml.safe_load(workflow.config.read_text())
     settings["storage"] = {"keep_at": ADDRESS}
     workflow.config.write_text(yaml.safe_dump(settings))
-    said = workflow.run("--default-storage-provider", "s3", "--dry-run", succeeds=False)
-    assert "set storage.keep_at in place of it" in said
+    output = workflow.run("--default-storage-provider", "s3", "--dry-run", succeeds=False)
+    assert "set storage.keep_at in place of it" in output
     with s3_server(validators) as server, proxy(server) as faults:
         use(monkeypatch, faults.endpoint)
         faults.deny = True
-        said = workflow.run(succeeds=False)
-        assert "the credentials of the environment" in said
+        output = workflow.run(succeeds=False)
+        assert "the credentials of the environment" in output
         faults.deny = False
         workflow.run()
         manifest = read_manifest(workflow.path("kept.json"))

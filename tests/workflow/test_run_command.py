@@ -104,15 +104,15 @@ def test_a_run_continues_after_kill_9(tmp_path: Path) -> None:
     target = "results/wall/brute_force/transport.json"
     process = start(workflow, target)
     freeze_writer(store, 8)
-    said = run(workflow, target, status=1)
-    assert re.search(r"process \d+ is running the workflow in this folder", said)
-    assert "--unlock" not in said
+    output = run(workflow, target, status=1)
+    assert re.search(r"process \d+ is running the workflow in this folder", output)
+    assert "--unlock" not in output
     kill_group(process, signal.SIGKILL)
     process.communicate()
     captured = len(journal(store))
-    said = run(workflow, target)
-    assert "continuing the last run in this folder, which was killed" in said
-    assert f"going on at pattern {captured}" in said
+    output = run(workflow, target)
+    assert "continuing the last run in this folder, which was killed" in output
+    assert f"going on at pattern {captured}" in output
 
 
 def test_the_last_line_names_missed_targets(tmp_path: Path) -> None:

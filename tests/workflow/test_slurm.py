@@ -52,8 +52,8 @@ def test_an_acquisition_continues_after_its_node_is_killed(
     time.sleep(1)
     assert len(journal(capture)) == captured  # all of its processes are dead
     slurm.start_node(node)
-    said = workflow.end(process)
-    assert "Trying to restart job" in said
+    output = workflow.end(process)
+    assert "Trying to restart job" in output
     log = workflow.path("long/brute_force/acquire.log").read_text()
     assert f"{captured} of 40 patterns are captured; going on at pattern {captured}" in log
     assert workflow.contents("long/brute_force") == undisturbed.contents("long/brute_force")
@@ -61,9 +61,9 @@ def test_an_acquisition_continues_after_its_node_is_killed(
 
 def test_a_refusal_of_the_scheduler_is_reported(slurm: Slurm, tmp_path: Path) -> None:
     refused = ("--default-resources", "slurm_partition=nope", "--retries", "0")
-    said = Workflow(tmp_path / "run").run(*on("slurm", *refused, TINY), succeeds=False)
-    assert "Error in rule acquire" in said
-    assert "invalid partition specified: nope" in said
+    output = Workflow(tmp_path / "run").run(*on("slurm", *refused, TINY), succeeds=False)
+    assert "Error in rule acquire" in output
+    assert "invalid partition specified: nope" in output
 
 
 def test_the_cause_of_a_dead_job_on_a_generic_cluster_is_reported(
@@ -75,12 +75,12 @@ def test_the_cause_of_a_dead_job_on_a_generic_cluster_is_reported(
     (workflow.folder / "frosted_glass.py").write_text(glass.replace("lit = weights", ends))
     workflow.configure(scenes={"glass": GLASS}, methods={"dual": {}})
     arguments = ("--retries", "0", "results/glass/dual/transport.json")
-    said = workflow.run(*on("cluster-generic", *arguments), succeeds=False)
-    assert "Error in rule acquire" in said
+    output = workflow.run(*on("cluster-generic", *arguments), succeeds=False)
+    assert "Error in rule acquire" in output
     (log,) = (workflow.folder / ".snakemake/cluster_logs").glob("acquire-*.log")
     assert "died with <Signals.SIGKILL: 9>" in log.read_text()
     # one processor on any machine, and more memory than any machine has
-    resources = next(line for line in said.splitlines() if line.startswith("Provided resources"))
+    resources = next(line for line in output.splitlines() if line.startswith("Provided resources"))
     assert "mem_mb" not in resources
 
 

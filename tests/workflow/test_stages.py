@@ -166,7 +166,7 @@ def test_a_memory_limit_reduces_the_patterns_per_batch(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("failure", "said", "shows_where"),
+    ("failure", "message", "shows_where"),
     [
         ("raise CaptureError('no light; switch it on')", "no light; switch it on", False),
         ("signal.raise_signal(signal.SIGTERM)", "stopped; finished work is kept", False),
@@ -175,7 +175,7 @@ def test_a_memory_limit_reduces_the_patterns_per_batch(tmp_path: Path) -> None:
     ],
 )
 def test_a_job_reports_why_it_ends_early(
-    tmp_path: Path, failure: str, said: str, shows_where: bool
+    tmp_path: Path, failure: str, message: str, shows_where: bool
 ) -> None:
     log = tmp_path / "planes_i" / "dual" / "L02" / "merge.log"
     lines = [
@@ -189,19 +189,21 @@ def test_a_job_reports_why_it_ends_early(
         [sys.executable, "-c", "\n".join(lines)], capture_output=True, text=True, check=False
     )
     assert ended.returncode != 0
-    assert said in ended.stderr
+    assert message in ended.stderr
     assert ("Traceback" in ended.stderr) == shows_where
-    assert said in log.read_text()
+    assert message in log.read_text()
     if "CaptureError" in failure:
-        assert ended.stderr == f"planes_i/dual/L02/merge: {said}\n"
+        assert ended.stderr == f"planes_i/dual/L02/merge: {message}\n"
         assert "Traceback" in log.read_text()
 
 
 def test_a_stage_runs_without_a_writable_log() -> None:
     code = "from rfpipe.jobs.job import start, _log; start('/dev/full'); _log.warning('for it')"
-    said = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert "for it" in said.stderr
-    assert "No space left" not in said.stderr
+    output = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True
+    )
+    assert "for it" in output.stderr
+    assert "No space left" not in output.stderr
 
 
 @pytest.mark.parametrize("method", ["symmetric", "dual", "brute_force"])

@@ -60,8 +60,8 @@ of_scene = cache(
 def memory_mb(wildcards, attempt):
     """Memory of a job in MB, doubled after each failure."""
     settings = of_scene(wildcards.scene) if "scene" in wildcards.keys() else SETTINGS
-    asked = int(settings.resources.memory_gib * 2**30 / 10**6)
-    return min(asked, MACHINE_MB) * 2 ** (attempt - 1)
+    requested = int(settings.resources.memory_gib * 2**30 / 10**6)
+    return min(requested, MACHINE_MB) * 2 ** (attempt - 1)
 
 
 def minutes(at_most):
