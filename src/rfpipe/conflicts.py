@@ -4,8 +4,9 @@ Blocks that conflict can't be lit together; the blocks of one colour are one pat
 photography the conflicts are the edges of ``G^2``, the square of the graph ``G`` of blocks between
 which the light is unknown. In dual photography two blocks conflict where a camera pixel sees both.
 
-Small graphs are written out and coloured by a library. Large ones are coloured from the sparse
-matrix of the pixels that see each block, without listing their conflicts.
+Small graphs are built explicitly, as lists of their edges, and coloured by a library. Large ones
+are coloured from the sparse matrix of the pixels that see each block, without listing their
+conflicts.
 """
 
 from __future__ import annotations
@@ -28,10 +29,10 @@ Colours = NDArray[np.int32]
 _Edges = tuple[NDArray[np.integer], NDArray[np.integer]]
 
 # rustworkx takes edges as Python numbers, 100 bytes for each: they are passed on in batches. It
-# stores an edge in 24 bytes and colours a million in a second; larger graphs are not written out.
+# stores an edge in 24 bytes and colours a million in a second; larger graphs are not built.
 _ROWS_PER_BATCH = 1024
 _MOST_EDGES = 2**22
-# Orders in a row without a saved colour, after which the iterated greedy colouring stops.
+# Consecutive orders that save no colour, after which the iterated greedy colouring stops.
 _MOST_FAILURES = 3
 
 

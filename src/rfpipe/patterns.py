@@ -23,8 +23,9 @@ class Schedule:
     Parameters
     ----------
     seed : int
-        First number of the keys under which rigs take the pictures, by which simulated noise is
-        drawn; another one for each level of an acquisition.
+        Simulated rigs draw the noise of pattern i by the key (seed, i), so that a repeated
+        acquisition has the same noise. Each level of an acquisition has another seed, or its
+        pictures would repeat the noise of another level.
     shape : tuple of int
         The projector's ray domain.
     count : int
@@ -95,6 +96,6 @@ class Schedule:
         return self.pattern_of_ray.ravel()[first_ray]
 
     def digest(self) -> str:
-        """Fingerprint of the patterns, and of the seed of their noise."""
+        """Digest of the patterns, and of the seed of their noise."""
         patterns = self.pattern_of_ray if self.weights is None else self.weights
         return fingerprint([self.seed, list(self.shape), self.count, patterns])

@@ -166,7 +166,7 @@ def test_a_state_with_a_hierarchy_is_restored() -> None:
         if coming is not None and coming.phase is Phase.HIERARCHY
     )
     # rays that a level leaves dark are predicted by the hierarchy, whatever its error
-    assert isinstance(NearFar().transport_of_dark_rays(first), HierarchicalTransport)
+    assert isinstance(NearFar().transport_of_unlit_rays(first), HierarchicalTransport)
     suite.test_a_state_is_restored_from_its_arrays()
 
 

@@ -59,8 +59,9 @@ def measure_symmetry(
     With signs s and pictures ``c(s) = T s = 2 T p - T 1``, each pair gives
     ``s2^T T s1 - s1^T T s2 = s2^T K s1`` with ``K = T - T^T``. With independent signs for each ray
     in s2, its mean square is ``||K s1||^2`` for any s1: random, or all ones. Symmetric photography
-    stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` has the error ``K p / 2``.
-    The expected mean square of the noise is subtracted.
+    stores ``T - K / 2``, so that a picture under ``p = (1 + s1) / 2`` has the error
+    ``K p / 2 = (K 1 + K s1) / 4``, whose mean square is ``(||K 1||^2 + ||K s1||^2) / 16``. Relative
+    to ``||T p||^2`` it is the squared result. The expected mean square of the noise is subtracted.
     """
     count = len(pictures.signs)
     images = 2 * pictures.radiance - floodlit

@@ -47,7 +47,7 @@ def solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
     white = lit.all(axis=1)
     radiance = series.radiance[white].mean(axis=0, dtype=np.float64)[None].astype(np.float32)
     spread = series.variance[white].mean(axis=0, dtype=np.float64)[None] / np.count_nonzero(white)
-    floodlit = Pictures(lit[white][:1], radiance, spread.astype(np.float32)).with_unknown_filled(
+    floodlit = Pictures(lit[white][:1], radiance, spread.astype(np.float32)).with_masked_filled(
         shape
     )
     probes = Pictures(lit[~white], series.radiance[~white], series.variance[~white])

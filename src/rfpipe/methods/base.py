@@ -33,8 +33,15 @@ from rfpipe.transport.base import Transport
 TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4)
 """Tolerances for plots of speed against error, as fractions of the floodlit image's maximum."""
 
+SIGNIFICANCE = 3.0
+"""Standard deviations of its noise above which light is significant, by default."""
+
 MEMORY_BYTES = 2**32
 """Default memory for the refinement of a level: 4 GiB."""
+
+PICTURE_VALUE_BYTES = 40
+"""Memory of a picture's pixel and channel in forecasts of methods that keep all pictures: float32
+radiance, variance and pattern, and copies of them during a fit."""
 
 LIBRARY_BYTES = 200_000_000
 """Memory of Python and its libraries, part of every forecast."""
@@ -47,7 +54,7 @@ class Options(MethodSettings):
     """
 
     noise_significance: float = Field(
-        3.0,
+        SIGNIFICANCE,
         ge=0,
         le=100,
         description="Standard deviations of its noise above which light counts as measured.",
@@ -89,8 +96,8 @@ class LevelImages(Protocol):
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Read radiance and variance, each float32 ``(last - first, *camera_shape, C)``.
 
-        An unknown pixel, such as a defective one, has a radiance of 0 and an infinite variance in
-        all images of an acquisition.
+        A masked pixel, which is defective, has a radiance of 0 and an infinite variance in all
+        images of an acquisition.
         """
 
 
@@ -163,6 +170,9 @@ S = TypeVar("S", bound=State)
 class MethodDescription:
     """Description of an acquisition method, for settings, reports, forecasts and benchmarks.
 
+    Most methods are a `Method`, which is its own description. `rfpipe.methods.auto.Auto` is a
+    description only: its `for_rig` chooses the `Method` after the rig's symmetry has been measured.
+
     Methods are found by their name among the entry points of the group ``rfpipe.methods``, or by
     their path, ``module:Class``.
 
@@ -202,7 +212,7 @@ class MethodDescription:
     trials: tuple[float, ...] = ()
 
     def measures_symmetry(self, camera: RayDomain, projector: RayDomain) -> bool:
-        """Test whether the symmetry of a rig of these rays is measured before level 0."""
+        """Test whether a rig of these rays has its symmetry measured by pictures of level 0."""
         return self.needs_coaxial_rig
 
     def for_rig(
@@ -227,7 +237,7 @@ class MethodDescription:
         self, camera: RayDomain, channels: int, patterns: int, max_patterns: int
     ) -> Forecast:
         """Forecast an acquisition of known numbers of patterns, by `bytes_per_ray`."""
-        picture_bytes = 40 * channels * patterns
+        picture_bytes = PICTURE_VALUE_BYTES * channels * patterns
         bytes_per_ray = picture_bytes if self.bytes_per_ray is None else self.bytes_per_ray
         memory_bytes = LIBRARY_BYTES + camera.size * bytes_per_ray
         return Forecast(patterns, max_patterns, memory_bytes)
@@ -265,14 +275,17 @@ class Method(MethodDescription, ABC, Generic[S]):
     def transport(self, state: S) -> Transport:
         """Return the estimate of the transport; nodes still open have their current estimate.
 
-        Rows of pixels that the images don't know may be left empty: where the rig is coaxial,
+        Rows of masked pixels may be left empty: where the rig is coaxial,
         `rfpipe.transport.filling` fills them from their columns.
         """
 
-    def transport_of_dark_rays(self, state: S) -> Transport:
-        """Return the transport that predicts the light of rays that the next level leaves dark.
+    def transport_of_unlit_rays(self, state: S) -> Transport:
+        """Return the transport that predicts the light of rays that the next level leaves unlit.
 
-        It differs from `transport` where the method would return another model than it refines.
+        It differs from `transport` for methods with several models. For example, `near_far` returns
+        the model that predicts the held-out pictures best; but while it refines a hierarchical
+        tensor, the next level leaves rays of the tensor's leaves unlit, and the tensor predicts
+        their light.
         """
         return self.transport(state)
 

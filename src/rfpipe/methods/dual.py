@@ -26,7 +26,7 @@ from rfpipe.methods.base import (
     StateArrays,
 )
 from rfpipe.methods.descent import BlockTreeMethod
-from rfpipe.methods.images import batches
+from rfpipe.methods.images import batches, rounding
 from rfpipe.methods.states import MethodState, level_row, with_prefix, without_prefix
 from rfpipe.patterns import Schedule
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
@@ -34,8 +34,10 @@ from rfpipe.transport.lazy import LazySequence
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import Responses, by_level, fold, looks_symmetric, no_responses
 
-# Largest sum of the responses stored for one pixel, added up like noise, in tolerances of the
-# floodlit image's root mean square. Their distribution on a block makes up to a tenth of it wrong.
+# Limit of the responses stored for one pixel, added in quadrature (root sum of squares), in
+# tolerances of the floodlit image's root mean square. A stored response is exact for its whole
+# block; only its distribution over the rays of the block is unknown, which causes an error of at
+# most about a tenth of the response in relit pictures.
 _SUM_OF_ERRORS = 28.0
 
 # Outcomes of a response: below noise, stored for its block, or to be subdivided.
@@ -47,8 +49,8 @@ class DualOptions(Options):
 
     tolerance: Fraction = Field(
         1e-3,
-        description="Response below which a block isn't subdivided, a fraction of the floodlit "
-        "maximum.",
+        description="Radiance from one block to a camera pixel below which the block isn't "
+        "subdivided for this pixel, a fraction of the floodlit maximum.",
     )
 
 
@@ -178,7 +180,7 @@ class Dual(BlockTreeMethod[DualState]):
             Responses(level, block[chosen], pixel[chosen], values[:, chosen])
             for chosen in (outcome == _STORED, outcome == _OPEN)
         )
-        dark_blocks = np.setdiff1d(stored.block, frontier.block)  # in all finer levels
+        finished_blocks = np.setdiff1d(stored.block, frontier.block)  # unlit in all finer levels
         kind = "scalar" if level == state.tree.n_levels - 1 else "rank1"
         counts = {"empty": len(block) - len(stored) - len(frontier), kind: len(stored)}
         row = level_row(
@@ -189,7 +191,7 @@ class Dual(BlockTreeMethod[DualState]):
             rows=(*state.rows, row),
             stored=(*state.stored, stored),
             frontier=frontier,
-            complete=state.complete and not len(dark_blocks),
+            complete=state.complete and not len(finished_blocks),
         )
 
     def transport(self, state: DualState) -> MultilevelTransport:
@@ -227,10 +229,9 @@ def _judged_responses(
         in_batch = np.flatnonzero((pattern >= first) & (pattern < last))
         measured = pattern[in_batch] - first, pixel[in_batch]
         response = radiance[measured]
-        rounding = np.finfo(np.float32).eps * response
-        # an unknown pixel has no response; its infinite noise must stay a number, times 0, too
+        # a masked pixel has no response; its infinite noise must stay a number, times 0, too
         largest = np.finfo(np.float32).max
-        noise = np.sqrt(np.minimum(variance[measured] + rounding * rounding, largest))
+        noise = np.sqrt(np.minimum(variance[measured] + rounding(response, least=0.0), largest))
         predicted = stored.relight_batch(schedule.batch(first, last))
         response -= predicted.reshape(planar)[measured]
         values[:, in_batch] = np.maximum(response, 0.0).T
@@ -243,11 +244,12 @@ def _judged_responses(
 def _threshold(state: DualState, responses: int) -> float:
     """Radiance below which a response is stored rather than subdivided.
 
-    The errors of many stored responses of one image add up like noise: they are limited to
-    `_SUM_OF_ERRORS` tolerances of the floodlit image's root mean square.
+    The errors of a pixel's responses are independent and add in quadrature. With `responses` over
+    the camera pixels responses per pixel on average, a limit of their root sum of squares to
+    `_SUM_OF_ERRORS` tolerances of the floodlit image's root mean square bounds each of them.
     """
-    of_sum = _SUM_OF_ERRORS * np.sqrt(state.camera.size / max(responses, 1))
-    return float(state.options.tolerance * min(state.floodlit_maximum, of_sum * state.floodlit_rms))
+    limit = _SUM_OF_ERRORS * np.sqrt(state.camera.size / max(responses, 1))
+    return float(state.options.tolerance * min(state.floodlit_maximum, limit * state.floodlit_rms))
 
 
 def _transport(
@@ -286,16 +288,17 @@ def _child_counts(tree: BlockTree, level: int) -> Index:
 
 
 def _judge(
-    response: Float, noise: NDArray[np.floating[Any]], threshold: float, children: Index
+    response: Float, noise_limit: NDArray[np.floating[Any]], threshold: float, children: Index
 ) -> NDArray[np.uint8]:
     """Decide on the outcome of responses (n, C), one for all channels.
 
-    A response is subdivided only where an average child is significant, too. Above the radiance
-    `noise` a response is significant, below `threshold` it is stored rather than subdivided;
-    `children` is 0 for blocks that can't be subdivided.
+    Above the radiance `noise_limit`, `noise_significance` standard deviations, a response is
+    significant. A response is stored rather than subdivided where it is below `threshold`, or where
+    an average child would be below `noise_limit`. `children` is 0 for blocks that can't be
+    subdivided.
     """
-    significant = (response > noise).any(axis=1)
-    limit = np.maximum(threshold, children[:, None] * noise)
+    significant = (response > noise_limit).any(axis=1)
+    limit = np.maximum(threshold, children[:, None] * noise_limit)
     large = (response >= limit).any(axis=1) & (children > 0)
     outcome = np.where(large, _OPEN, _STORED)
     return np.where(significant, outcome, _DROPPED).astype(np.uint8)

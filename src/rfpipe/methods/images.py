@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Float
-from rfpipe.methods.base import LevelImages
+from rfpipe.methods.base import SIGNIFICANCE, LevelImages
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.transport.base import Transport
@@ -57,15 +57,13 @@ def planar_batches(
         yield slice(begin, end), radiance, variance + rounding(radiance)
 
 
-def rounding(radiance: Float) -> Float:
-    """Variance of the rounding to float32, which exact radiance has, too; above 0."""
-    least = np.finfo(np.float32).tiny
-    spread: Float = np.maximum(np.square(np.finfo(np.float32).eps * radiance), least)
-    return spread
+def rounding(radiance: Float, least: float = float(np.finfo(np.float32).tiny)) -> Float:
+    """Variance of the rounding to float32, which exact radiance has, too; at least `least`.
 
-
-SIGNIFICANT = 3.0
-"""Standard deviations of its noise above which light is significant."""
+    By default it is above 0, for methods that divide by it.
+    """
+    variance: Float = np.square(np.finfo(np.float32).eps * radiance)
+    return np.maximum(variance, np.float32(least)) if least > 0 else variance
 
 
 def beyond_noise(
@@ -85,8 +83,10 @@ def beyond_noise(
     cell : ndarray of int64, shape (pixels,)
         Number of the cell of each pixel.
     squared_error, noise, half_variance, accepted : ndarray, shape (pixels,)
-        Squared error of each pixel, its expectation for noise alone, half of the variance of that,
-        and the accepted squared error.
+        Squared error of each pixel; for noise alone, its expectation and half of its variance; the
+        accepted squared error. The squared error of a picture with the noise variance v has the
+        expectation v and the variance 2 v^2, so that the half is v^2. A chi-square of k degrees of
+        freedom has the expectation k and the variance 2 k.
 
     Returns
     -------
@@ -97,7 +97,7 @@ def beyond_noise(
         for values in (squared_error, noise, half_variance, accepted)
     )
     excess = error - expected
-    is_beyond = (excess > SIGNIFICANT * np.sqrt(2 * variance)) & (excess > limit)
+    is_beyond = (excess > SIGNIFICANCE * np.sqrt(2 * variance)) & (excess > limit)
     return np.asarray(is_beyond.reshape(grid))
 
 
@@ -110,7 +110,7 @@ class Pictures:
     lit : ndarray of bool, shape (P, N)
         The patterns.
     radiance, variance : ndarray of float32, shape (P, C, M)
-        The variance of an unknown pixel is infinite: no fit, test or estimate uses it.
+        The variance of a masked pixel is infinite: no fit, test or estimate uses it.
     """
 
     lit: NDArray[np.bool_]
@@ -124,8 +124,8 @@ class Pictures:
         """Read images ``first:last`` of a level."""
         lit = images.schedule.batch(first, last) > 0
         radiance, variance = np.empty((2, len(lit), channels, pixels), np.float32)
-        for part, observed, spread in planar_batches(images, channels, pixels, first, last):
-            radiance[part], variance[part] = np.moveaxis(observed, 0, 1), np.moveaxis(spread, 0, 1)
+        for part, *planar in planar_batches(images, channels, pixels, first, last):
+            radiance[part], variance[part] = (np.moveaxis(image, 0, 1) for image in planar)
         return cls(lit.reshape(len(lit), -1), radiance, variance)
 
     def select(self, pictures: slice | NDArray[np.bool_]) -> Pictures:
@@ -171,7 +171,7 @@ class Pictures:
         known = self.known
         light = float(self.radiance[0][:, known].sum(dtype=np.float64))
         noise = float(np.sqrt(self.variance[0][:, known].sum(dtype=np.float64)))
-        return light > SIGNIFICANT * noise
+        return light > SIGNIFICANCE * noise
 
     def channel(self, index: int) -> Pictures:
         """Select a channel."""
@@ -186,16 +186,16 @@ class Pictures:
             self.variance.sum(axis=1, keepdims=True),
         )
 
-    def with_unknown_filled(self, shape: tuple[int, ...]) -> Pictures:
-        """Fill unknown pixels with the radiance of the nearest known ones.
+    def with_masked_filled(self, shape: tuple[int, ...]) -> Pictures:
+        """Fill masked pixels with the radiance of the nearest known ones.
 
         Models read from the floodlit image how much light a ray sends; a surface at a pixel that
         the camera doesn't see still lights other surfaces.
         """
-        unknown = np.asarray(np.isinf(self.variance).any(axis=(0, 1)))
-        if not unknown.any():
+        masked = np.asarray(np.isinf(self.variance).any(axis=(0, 1)))
+        if not masked.any():
             return self
-        pixel = nearest_known(~unknown.reshape(shape))
+        pixel = nearest_known(~masked.reshape(shape))
         return Pictures(self.lit, self.radiance[..., pixel], self.variance)
 
 

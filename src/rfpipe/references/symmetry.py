@@ -35,8 +35,12 @@ _LOGGED = 0.2
 the predicted error."""
 
 _MASKED = 0.5
-"""Squared error caused by a masked pixel, relative to its share of all pixels: its light in the
-floodlit image, and as much again in random pictures, over 16 |T p|^2."""
+"""Squared error caused by masked pixels, relative to their share of all pixels.
+
+`measure_symmetry` divides ``|K 1|^2 + |K s|^2`` by ``16 |T p|^2``, since a picture under the
+pattern ``p = (1 + s) / 2`` has the error ``K p / 2 = (K 1 + K s) / 4``. A masked pixel j misses
+light in one direction, which adds at most ``F_j^2`` to each term, and ``|T p|^2`` is about
+``|F|^2 / 4``. The ratio is thus ``2 / (16 / 4)`` times the share of ``|F|^2``."""
 
 _MIN_EXCESS = 0.01
 """Relative excess of light that spoils pictures."""

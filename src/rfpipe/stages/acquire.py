@@ -137,8 +137,7 @@ def acquire(
         Number of pictures that verify the transport, taken afterwards; 0 for none. None: 9, 0 with
         a simulated rig.
     **options
-        The method's own: its ``Options``, such as ``tolerance``, the error allowed in an image as
-        a fraction of the floodlit image's maximum, of "symmetric" and "dual", or
+        The method's own: its ``Options``, such as ``tolerance`` of "symmetric" and "dual", or
         ``target_error``, the mean error of relit pictures at which most methods can stop.
 
     Returns
@@ -175,6 +174,7 @@ def acquire(
         all_off_brackets=all_off_brackets,
         all_on_brackets=all_on_brackets,
         symmetry_brackets=symmetry_brackets if plan.measures_symmetry else 0,
+        # precautions of simulated rigs have no interval; the caller may set `watch` nevertheless
         check_interval=precautions.check_interval or PRECAUTIONS["remote"].check_interval,
         watch=watch,
         asymmetry=asymmetry,

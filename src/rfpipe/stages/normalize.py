@@ -47,40 +47,40 @@ def masked_rays(floodlit_variance: Float) -> NDArray[np.bool_]:
     return np.asarray(np.isinf(floodlit_variance).any(axis=-1))
 
 
-def light_of_dark_rays(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
-    """Predict the light of the rays that a level leaves dark, (*camera_shape, C).
+def light_of_unlit_rays(method: Method[Any], state: Any, schedule: Schedule) -> Float | None:
+    """Predict the light of the rays that a level leaves unlit, (*camera_shape, C).
 
     None where the level lights every ray that can send light.
     """
     if schedule.complete or schedule.pattern_of_ray is None:
         return None
-    return method.transport_of_dark_rays(state).relight(schedule.pattern_of_ray < 0)
+    return method.transport_of_unlit_rays(state).relight(schedule.pattern_of_ray < 0)
 
 
 def normalize_level(
     schedule: Schedule,
     level_sum: ImageSum,
     floodlit: tuple[Float, Float],
-    dark_light: Float | None,
+    unlit_light: Float | None,
     mode: NormalizationMode,
     significance: float,
 ) -> LevelGain:
     """Compare the sum of a level's images with the floodlit image and its variance (thesis B.2).
 
-    The predicted light of rays that the level leaves dark, `dark_light`, is first subtracted from
+    The predicted light of rays that the level leaves unlit, `unlit_light`, is first subtracted from
     the floodlit image. A pixel that has most of its light from such rays keeps a gain of 1, since
     its difference is mostly noise. `significance` is in standard deviations. Images are float32,
     (*camera_shape, C).
     """
     radiance, variance = floodlit
-    is_scaled = mode != "none" and (schedule.complete or dark_light is not None)
-    expected = radiance if dark_light is None else radiance - dark_light
+    is_scaled = mode != "none" and (schedule.complete or unlit_light is not None)
+    expected = radiance if unlit_light is None else radiance - unlit_light
     normalization = level_gain(
         expected, level_sum.radiance, level_sum.variance, mode, is_scaled, significance, variance
     )
-    if dark_light is None:
+    if unlit_light is None:
         return normalization
-    covered = normalization.covered & (dark_light < expected)
+    covered = normalization.covered & (unlit_light < expected)
     gain = np.where(covered, normalization.gain, np.float32(1))
     return LevelGain(gain, covered, mode)
 
@@ -102,19 +102,19 @@ def run(acquisition: Acquisition, level: int) -> None:
         "noise_significance": significance,
         "code": acquisition.settings.code,
     }
-    # the state matters only where the level leaves rays dark
+    # the state matters only where the level leaves rays unlit
     needs_state = not planned["complete"] and mode != "none"
     if needs_state:
         inputs |= {"plan": plan.describe(), "refine": acquisition.refined_digests(level)}
     made_from = fingerprint(inputs)
     if storage.current_manifest(level, "normalize", made_from):
         return
-    schedule, dark_light = read_schedule(storage, level), None
+    schedule, unlit_light = read_schedule(storage, level), None
     if needs_state:
         state = acquisition.state_before(level)
-        dark_light = light_of_dark_rays(plan.method, state, schedule)
+        unlit_light = light_of_unlit_rays(plan.method, state, schedule)
     factors = normalize_level(
-        schedule, read_level_sum(storage, level), read_floodlit(storage), dark_light, mode,
+        schedule, read_level_sum(storage, level), read_floodlit(storage), unlit_light, mode,
         significance,
     )  # fmt: skip
     facts = {

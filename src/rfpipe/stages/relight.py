@@ -143,7 +143,7 @@ def _relit(transport: Transport, patterns: Float) -> dict[str, NDArray[Any]]:
 def mean_errors(
     transport: Transport, scene: Scene, floodlit: Float, *, is_coaxial: bool
 ) -> dict[str, Any]:
-    """Return the errors of a transport over the declared distribution of pictures, as plain data.
+    """Return the errors of a transport over the pictures of `rfpipe.relighting`, as plain data.
 
     Parameters
     ----------

@@ -2,6 +2,10 @@
 
 Each stage of a level writes arrays or frames, its *store*, and a *manifest*: plain data about them,
 written last. Some stages write further stores, *parts*, which their manifest describes by a key.
+
+A store's *digest* is the hash of its content, and reveals damage. Its *fingerprint* is the hash of
+all that its content is computed from: digests of other stores, settings, and the code. A store
+whose fingerprint differs from the current one is made again.
 """
 
 from __future__ import annotations

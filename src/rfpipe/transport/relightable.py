@@ -32,7 +32,7 @@ LIMIT = 8 * 2**30
 
 
 class Relightable(MatrixAlgebra):
-    """Light transport that can be relit: a transport, its dual, or either between other rays."""
+    """Light transport that can be relit: a transport, its dual, or its restriction to some rays."""
 
     _lights: Float | None = None
     _interpolation: LightInterpolation | None = None
@@ -45,8 +45,10 @@ class Relightable(MatrixAlgebra):
 
     @property
     def lights(self) -> Float | None:
-        """Directions of single lights, one for each projector ray, float32 (rays, 3), or None.
+        """Directions of the lights of each projector ray, float32 (rays, 3), or None.
 
+        They are set where each projector ray is a separate, distant lamp instead of a projector
+        pixel, as in a light stage or reflectance transformation imaging (RTI).
         Setting it raises InputError unless each ray has a direction.
         """
         return self._lights
@@ -245,7 +247,7 @@ class Relightable(MatrixAlgebra):
         ------
         InputError
             If the pattern has another shape or isn't finite, an option is out of range, no camera
-            pixel receives light, or the projector's rays are several views or single lights.
+            pixel receives light, or the projector's rays are several views or separate `lights`.
         """
         from rfpipe.transport.separation import separated
 
@@ -253,9 +255,9 @@ class Relightable(MatrixAlgebra):
         return separated(self, light[0], direct, near, self.noise)
 
     def restricted(self, camera_rays: Bools, projector_rays: Bools) -> Relightable:  # noqa: ARG002
-        """Return a transport that is equal between some camera rays and some projector rays.
+        """Return a transport with the same entries between some camera and some projector rays.
 
-        Both are bool (rays,). Transport between other rays may be 0.
+        Both selections are bool (rays,). Entries of other rays may be 0.
         """
         return self
 

@@ -178,11 +178,11 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Return the transport that predicts the held-out pictures best."""
         return self._best(state).transport
 
-    def transport_of_dark_rays(self, state: AdaptiveState) -> Transport:
-        """Return the transport that predicts the light of rays that the next level leaves dark.
+    def transport_of_unlit_rays(self, state: AdaptiveState) -> Transport:
+        """Return the transport that predicts the light of rays that the next level leaves unlit.
 
         While the hierarchy is refined it is that of the hierarchy, whatever its error: the leaves
-        of its block tree are the rays that its next level leaves dark.
+        of its block tree are the rays that its next level leaves unlit.
         """
         if state.next_round is None or state.next_round.phase is not Phase.HIERARCHY:
             return self.transport(state)

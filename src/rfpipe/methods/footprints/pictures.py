@@ -11,7 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpipe.array_types import Bools, Float, Index
-from rfpipe.methods.images import SIGNIFICANT, Pictures
+from rfpipe.methods.base import SIGNIFICANCE
+from rfpipe.methods.images import Pictures
 
 # Errors of any model, relative to the floodlit image of the pixel and to its mean over all pixels.
 _MODEL_ERROR, _LEAST_ERROR = 0.002, 1e-5
@@ -52,14 +53,14 @@ class ViewPictures:
     def lit_pixels(self) -> Bools:
         """Pixels whose floodlit radiance exceeds 3 standard deviations of noise, (M,)."""
         noise = np.sqrt(np.where(self.known, self.variance[:, 0], 0))
-        return np.asarray(self.known & (self.radiance[:, 0] > SIGNIFICANT * noise))
+        return np.asarray(self.known & (self.radiance[:, 0] > SIGNIFICANCE * noise))
 
     def has_light(self) -> bool:
         """Return True if the sum of the floodlit image exceeds 3 standard deviations of noise."""
         known = self.known
         light = float(self.radiance[known, 0].sum(dtype=np.float64))
         noise = float(np.sqrt(self.variance[known, 0].sum(dtype=np.float64)))
-        return light > SIGNIFICANT * noise
+        return light > SIGNIFICANCE * noise
 
     def at(self, camera_pixels: Index | None) -> ViewPictures:
         """Select camera pixels by their numbers; None selects all."""

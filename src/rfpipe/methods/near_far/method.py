@@ -194,7 +194,7 @@ class NearFar(AdaptiveMethod):
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Give unknown pixels the radiance of the nearest known one: they light others too."""
-        return picture.with_unknown_filled(state.projector.shape)
+        return picture.with_masked_filled(state.projector.shape)
 
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
         """Decide after a round, by its phase."""

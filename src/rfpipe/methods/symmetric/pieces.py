@@ -14,6 +14,7 @@ import numpy as np
 from rfpipe.array_types import Blocks, Double, Float, Index
 from rfpipe.blocks import BlockTree
 from rfpipe.methods.base import LevelImages
+from rfpipe.methods.images import rounding
 from rfpipe.methods.symmetric.nodes import (
     EstimatedNodes,
     LevelBlocks,
@@ -188,8 +189,7 @@ def residual_pieces(
     for first, last in _pattern_batches(tree, channels, images.schedule.count, memory_bytes):
         radiance, variance = (_planar(it, tree, channels) for it in images.read(first, last))
         masked |= np.isinf(variance[0]).any(axis=0)
-        rounding = np.finfo(np.float32).eps * radiance
-        variance += rounding * rounding
+        variance += rounding(radiance, least=0.0)
         radiance -= predict(tree, known, level, pattern_of_block, first, last, channels)
         radiance[..., masked], variance[..., masked] = 0, 0
         batch = ImageBatch(first, radiance, variance)
