@@ -17,8 +17,14 @@ from rfpipe.calibration.verdicts import Findings
 from rfpipe.config import CalibrationConfig
 from rfpipe.errors import CaptureError, RfpipeError
 from rfpipe.photometry import CameraModel
-from rfpipe.rigs.devices import STEPS as WEIGHTS
-from rfpipe.rigs.devices import Camera, Projector, bracket_of, code_table, shown_bracket
+from rfpipe.rigs.devices import (
+    WEIGHT_STEPS,
+    Camera,
+    Projector,
+    bracket_of,
+    code_table,
+    shown_bracket,
+)
 
 ProgressBar = Callable[[str, int], AbstractContextManager[Any]]
 """Function of a title and a number of pictures, returns a progress bar as a context manager."""
@@ -58,8 +64,8 @@ def camera_numbers(findings: Mapping[str, Findings]) -> dict[str, Any]:
 
 
 def _looked_up(light: Float, codes: NDArray[np.uint8]) -> Float:
-    """Codes, as fractions of 255, of light in [0, 1], by a table over `WEIGHTS` + 1 levels."""
-    index = np.rint(np.clip(light, 0, 1) * WEIGHTS).astype(np.int64)
+    """Codes, as fractions of 255, of light in [0, 1], by a table over `WEIGHT_STEPS` + 1 levels."""
+    index = np.rint(np.clip(light, 0, 1) * WEIGHT_STEPS).astype(np.int64)
     return np.asarray(codes[index] / np.float32(255), np.float32)
 
 

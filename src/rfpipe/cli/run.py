@@ -377,12 +377,12 @@ def _print_totals(rows: pd.DataFrame, free: int) -> None:
 
 def _lines_of_scenes(settings: Config) -> list[str]:
     """Return lines on the choices, omitted light and missing requirements of each scene."""
-    from rfpipe.report.text import yaml_text
+    from rfpipe.report.text import setting_text
 
     lines = []
     for name in dict.fromkeys(scene for scene, _ in settings.acquisitions):
         scene = settings.scenes[name]
-        choices = (f"{it.setting} {yaml_text(it.value)} ({it.reason})" for it in scene.choices)
+        choices = (f"{it.setting} {setting_text(it.value)} ({it.reason})" for it in scene.choices)
         sentences = [f"chosen: {', '.join(choices)}"] if scene.choices else []
         sentences += [*scene.omissions, *(f"can't run here: {it}" for it in scene.obstacles)]
         lines += [f"{name}: {sentence}." for sentence in sentences]

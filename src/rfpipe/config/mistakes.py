@@ -1,6 +1,6 @@
 """Mistakes in settings: pydantic's problems as one line each, with location, value and remedy.
 
-A mistake has one of two kinds. The message of ``ABOUT`` continues the setting's location
+A mistake has one of two kinds. The message of ``ABOUT_SETTING`` continues the setting's location
 (``camera.bits`` "is 99; it should be at most 16."); that of ``RULE`` is a sentence about several
 settings.
 """
@@ -22,10 +22,10 @@ from rfpipe.text import did_you_mean
 Location = tuple[str | int, ...]
 """Names and indices from the outermost section to a setting."""
 
-Kind = Literal["about_setting", "rule_between_settings"]
+MistakeKind = Literal["about_setting", "rule_between_settings"]
 
-ABOUT: Kind = "about_setting"
-RULE: Kind = "rule_between_settings"
+ABOUT_SETTING: MistakeKind = "about_setting"
+RULE: MistakeKind = "rule_between_settings"
 
 _EXPECTATIONS = {
     "greater_than": "be above {gt}",
@@ -56,7 +56,7 @@ _EXPECTATIONS = {
 
 
 def mistake(
-    message: str, *location: str | int, kind: Kind = RULE, value: object = None
+    message: str, *location: str | int, kind: MistakeKind = RULE, value: object = None
 ) -> InitErrorDetails:
     """Return a mistake at a location, for `ValidationError.from_exception_data`."""
     error = PydanticCustomError(kind, "{message}", {"message": message})
@@ -64,7 +64,7 @@ def mistake(
 
 
 def mistake_error(
-    message: str, *location: str | int, kind: Kind = RULE, value: object = None
+    message: str, *location: str | int, kind: MistakeKind = RULE, value: object = None
 ) -> ValidationError:
     """Return a ValidationError with one mistake at a location, to be raised in a validator."""
     problem = mistake(message, *location, kind=kind, value=value)
@@ -77,22 +77,24 @@ def relocated(problem: Mapping[str, Any], fields: Mapping[str, FieldInfo], *oute
     return mistake(message, *outer, *problem["loc"], kind=kind, value=problem["input"])
 
 
-def describe(problem: Mapping[str, Any], fields: Mapping[str, FieldInfo]) -> tuple[Kind, str]:
+def describe(
+    problem: Mapping[str, Any], fields: Mapping[str, FieldInfo]
+) -> tuple[MistakeKind, str]:
     """Return kind and message of one of pydantic's problems in a model with these fields."""
     type_, location = problem["type"], problem["loc"]
     context = problem.get("ctx", {})
-    if type_ in (ABOUT, RULE):
+    if type_ in (ABOUT_SETTING, RULE):
         return type_, str(problem["msg"])
     if type_ == "extra_forbidden":
         remedy = f"{did_you_mean(str(location[-1]), fields)} Known here: {', '.join(fields)}."
-        return ABOUT, f"is unknown; {remedy.strip()}"
+        return ABOUT_SETTING, f"is unknown; {remedy.strip()}"
     cause = context.get("error")
     if type_ == "value_error" and not isinstance(cause, UnsuitableValueError):
         return RULE, str(cause)
     field = fields.get(str(location[0])) if location else None
     meaning = f" ({field.description})" if field and field.description else ""
     if type_ == "missing":
-        return ABOUT, f"is missing; add it.{meaning}"
+        return ABOUT_SETTING, f"is missing; add it.{meaning}"
     if isinstance(cause, UnsuitableValueError):
         expected = f"it should {cause}"
     elif type_ in _EXPECTATIONS:
@@ -100,7 +102,7 @@ def describe(problem: Mapping[str, Any], fields: Mapping[str, FieldInfo]) -> tup
         expected = f"it should {_EXPECTATIONS[type_].format(**limits)}"
     else:
         expected = str(problem["msg"])
-    return ABOUT, f"is {yaml_text(problem['input'])}; {expected}.{meaning}"
+    return ABOUT_SETTING, f"is {yaml_text(problem['input'])}; {expected}.{meaning}"
 
 
 def _without_zero_decimals(value: object) -> object:

@@ -32,7 +32,7 @@ from rfpipe.config.capture import (
     StorageConfig,
     VerificationConfig,
 )
-from rfpipe.config.mistakes import ABOUT, mistake, mistake_error, relocated
+from rfpipe.config.mistakes import ABOUT_SETTING, mistake, mistake_error, relocated
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.provenance import fingerprint
 from rfpipe.units import NormalizationMode
@@ -311,7 +311,7 @@ class Config(Settings):
                     f"is {rig!r}; the section rigs has {', '.join(self.rigs) or 'no entries'}. "
                     "Add it there, or remove this setting",
                     *("scenes", scene, "rig"),
-                    kind=ABOUT,
+                    kind=ABOUT_SETTING,
                 )
         return self
 
@@ -361,7 +361,7 @@ class Config(Settings):
                 raise mistake_error(
                     f"is {scene.channels}; set it to 3, or camera.bayer, which is {bayer}, to null",
                     *("scenes", name, "channels"),
-                    kind=ABOUT,
+                    kind=ABOUT_SETTING,
                 )
         return self
 

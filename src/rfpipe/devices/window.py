@@ -24,7 +24,7 @@ from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.devices import (
-    STEPS,
+    WEIGHT_STEPS,
     Closing,
     Offset,
     PictureExtent,
@@ -140,7 +140,7 @@ class WindowProjector(Closing):
         time.sleep(self.settle_seconds)
 
     def _show(self, picture: Float) -> None:
-        codes = self._codes[np.rint(picture * np.float32(STEPS)).astype(np.uint16)]
+        codes = self._codes[np.rint(picture * np.float32(WEIGHT_STEPS)).astype(np.uint16)]
         with self._lock:
             self._draw(codes)
             self.statistics["shown"] += 1

@@ -13,7 +13,7 @@ from rfpipe.array_types import Bools
 from rfpipe.errors import CaptureError
 from rfpipe.photometry.sensor import Sensor
 
-SIGNIFICANCE = 5.0
+DEFECT_SIGNIFICANCE = 5.0
 """Standard deviations, beyond what the largest of as many good pixels reaches."""
 
 MAD_TO_DEVIATION = 1.4826
@@ -149,12 +149,12 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Bools:
         # constant counts are most probable for a mean at an integer
         once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
         chance += (dark.count + 1) * log(once)
-    return stuck if chance < -(SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
+    return stuck if chance < -(DEFECT_SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
 
 
 def _threshold(size: int) -> float:
     """Standard deviations that no pixel out of `size` good Gaussian ones exceeds."""
-    return SIGNIFICANCE + float(np.sqrt(2 * np.log(max(size, 2))))
+    return DEFECT_SIGNIFICANCE + float(np.sqrt(2 * np.log(max(size, 2))))
 
 
 def _noisy(variance: NDArray[np.float64], freedom: int, floor: float) -> Bools:
@@ -177,21 +177,21 @@ def check_floodlit(
 ) -> None:
     """Raise CaptureError if the floodlit image is black or darker than the black level.
 
-    Light must exceed the noise by `SIGNIFICANCE` standard deviations, either in the sum over the
-    image or in a single sample, there beyond the expected maximum of pure noise. `remedy` is the
-    advice for a black image.
+    Light must exceed the noise by `DEFECT_SIGNIFICANCE` standard deviations, either in the sum over
+    the image or in a single sample, there beyond the expected maximum of pure noise. `remedy` is
+    the advice for a black image.
     """
     image = np.asarray(radiance, np.float64)
     spread = np.asarray(variance, np.float64)
     total, error = float(image.sum()), float(np.sqrt(spread.sum()))
-    if total < -SIGNIFICANCE * error:
+    if total < -DEFECT_SIGNIFICANCE * error:
         raise CaptureError(
             f"the floodlit image is darker than the all-off one: radiance {total:.3g} in all, "
             f"noise {error:.3g}. The black level is above the signal: check that the all-off "
             "frames were taken in the dark, with this camera and these exposures"
         )
     lit = image > _threshold(image.size) * np.sqrt(spread)
-    if total <= SIGNIFICANCE * error and not lit.any():
+    if total <= DEFECT_SIGNIFICANCE * error and not lit.any():
         raise CaptureError(
             f"the floodlit image is all black: radiance {total:.3g} in all, noise {error:.3g}. "
             f"{remedy}"

@@ -1,7 +1,7 @@
 """User files that a run's settings name: code of methods and scenes, and data of scenes.
 
-A publication has them in `FOLDER`, at their paths relative to the run's folder. The settings are
-valid in a new run's folder with a copy of this content.
+A publication has them in `INPUTS_FOLDER`, at their paths relative to the run's folder. The settings
+are valid in a new run's folder with a copy of this content.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from rfpipe.errors import InputError
 from rfpipe.provenance import source_digest
 from rfpipe.publishing.run import FinishedAcquisition, files_below
 
-FOLDER = "inputs"
+INPUTS_FOLDER = "inputs"
 """Folder of the files in a publication."""
 
 OUTSIDE = "outside"
@@ -175,9 +175,9 @@ class _Finder:
         for path in paths:
             inside = "/".join(part for part in (name, path.relative_to(root).as_posix()) if part)
             if path.is_dir():
-                self.files |= dict(files_below(path, f"{FOLDER}/{inside}"))
+                self.files |= dict(files_below(path, f"{INPUTS_FOLDER}/{inside}"))
             else:
-                self.files[f"{FOLDER}/{inside}"] = path
+                self.files[f"{INPUTS_FOLDER}/{inside}"] = path
         return "/".join(part for part in (name, named.relative_to(root).as_posix()) if part)
 
     def _code(self, file: Path) -> str:
@@ -221,7 +221,7 @@ class _Finder:
         file, folder = home / f"{package}.py", home / package
         files = [file] if file.is_file() else [path for _, path in files_below(folder, "")]
         for path in files:
-            name = f"{FOLDER}/{path.relative_to(home).as_posix()}"
+            name = f"{INPUTS_FOLDER}/{path.relative_to(home).as_posix()}"
             if name in self.files:
                 continue
             self.files[name] = path

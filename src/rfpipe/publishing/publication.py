@@ -15,8 +15,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.pictures.images import write_image
 from rfpipe.provenance import workflow_folder
-from rfpipe.publishing.inputs import FOLDER as INPUTS
-from rfpipe.publishing.inputs import inputs_of
+from rfpipe.publishing.inputs import INPUTS_FOLDER, inputs_of
 from rfpipe.publishing.metadata import CRATE_FILE, Citation, crate, datacite
 from rfpipe.publishing.run import (
     SETTINGS,
@@ -207,7 +206,9 @@ def _crate(writer: Writer, run: RunFolder, citation: Citation) -> dict[str, Any]
         citation,
         parts,
         workflow=_WORKFLOW if _WORKFLOW in parts else None,
-        settings=[name for name in parts if name == SETTINGS or name.startswith(f"{INPUTS}/")],
+        settings=[
+            name for name in parts if name == SETTINGS or name.startswith(f"{INPUTS_FOLDER}/")
+        ],
         outputs=[*stores, *(name for name in (_REPORT,) if name in parts)],
         times=run.times,
     )

@@ -9,7 +9,7 @@ from typing import Any
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.report.inputs import RelitAcquisition, ReportInputs, rig_of
 from rfpipe.report.page import Section, Table
-from rfpipe.report.text import yaml_text
+from rfpipe.report.text import setting_text
 from rfpipe.rigs.calibrated import VERDICTS_KEY
 from rfpipe.rigs.settings import flat
 
@@ -55,7 +55,7 @@ def _without_idle_methods(settings: Mapping[str, Any], ran: Set[str]) -> dict[st
 def _choices_table(inputs: ReportInputs) -> list[Table]:
     """Return the table of values that scenes choose for null settings, in a list, or none."""
     rows = [
-        [scene, choice["setting"], yaml_text(choice["value"]), choice["reason"]]
+        [scene, choice["setting"], setting_text(choice["value"]), choice["reason"]]
         for scene in inputs.scenes
         for choice in inputs.light_of(scene).get("choices", [])
     ]

@@ -59,7 +59,7 @@ def rig_standing(rig: Mapping[str, Any]) -> str:
     return next((STANDINGS[it] for it in reversed(STANDINGS) if it in verdicts), "no calibration")
 
 
-def yaml_text(value: Any) -> str:
+def setting_text(value: Any) -> str:
     """Return a setting's value as in YAML."""
     return str(value).lower() if isinstance(value, bool) else str(value)
 

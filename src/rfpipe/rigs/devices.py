@@ -23,7 +23,7 @@ PictureExtent = Annotated[int, Field(ge=1, le=32768)]
 ATTEMPTS = 5
 """Largest number of times that a picture is shown for one undisturbed bracket."""
 
-STEPS = 65535
+WEIGHT_STEPS = 65535
 """Number of steps to which weights are rounded before they are looked up."""
 
 _log = logging.getLogger(__name__)
@@ -219,7 +219,7 @@ def check_picture(picture: NDArray[Any], shape: tuple[int, ...]) -> Float:
 
 
 def code_table(light: NDArray[Any] | None) -> Codes:
-    """Invert a projector's response: code of each of `STEPS` + 1 weights from 0 to 1, uint8.
+    """Invert a projector's response: code of each of `WEIGHT_STEPS` + 1 weights from 0 to 1, uint8.
 
     The code is chosen whose light, scaled to 0 for code 0 and 1 for code 255, is nearest.
 
@@ -243,5 +243,5 @@ def code_table(light: NDArray[Any] | None) -> Codes:
         )
     relative = (measured - measured[0]) / (measured[-1] - measured[0])
     between = (relative[1:] + relative[:-1]) / 2
-    weights = np.arange(STEPS + 1) / STEPS
+    weights = np.arange(WEIGHT_STEPS + 1) / WEIGHT_STEPS
     return np.searchsorted(between, weights).astype(np.uint8)

@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Literal, NamedTuple
 
-Kind = Literal["late", "room", "moved", "gain", "flicker", "unsteady", "drift"]
+FaultKind = Literal["late", "room", "moved", "gain", "flicker", "unsteady", "drift"]
 
 GAIN_CHANGES = "gain changes from picture to picture"
 RIG_MOVED = "the rig or the scene moved"
@@ -94,7 +94,7 @@ class Fault(NamedTuple):
     remedy : str
     """
 
-    kind: Kind
+    kind: FaultKind
     size: float
     change: str
     remedy: str

@@ -22,10 +22,10 @@ from rfpipe.store.chunks import (
 )
 from rfpipe.store.files import (
     bytes_on_disk,
+    canonical_data,
     canonical_json,
     digest_of,
     hidden_sibling,
-    plain_data,
     remove_tree,
     storage_errors,
 )
@@ -235,7 +235,7 @@ def write_arrays(
         "arrays": entries,
         "attributes": attributes,
     }
-    header = plain_data(header, f"{path}: attributes")
+    header = canonical_data(header, f"{path}: attributes")
     needed = sum(array.nbytes for array in contiguous.values())
     new = hidden_sibling(path, "new")
     with StoreLock(path), storage_errors(path, "writing arrays", needed, resumes=resumes):

@@ -17,11 +17,11 @@ from rfpipe.output import free_bytes, storage_errors, whole_file, write_atomical
 
 __all__ = [
     "bytes_on_disk",
+    "canonical_data",
     "canonical_json",
     "digest_of",
     "free_bytes",
     "hidden_sibling",
-    "plain_data",
     "remove_tree",
     "storage_errors",
     "to_disk",
@@ -58,7 +58,7 @@ def canonical_json(value: Any, where: str, *, indent: int | None = None) -> byte
     return text.encode()
 
 
-def plain_data(value: dict[str, Any], where: str) -> dict[str, Any]:
+def canonical_data(value: dict[str, Any], where: str) -> dict[str, Any]:
     """Return plain data after a round trip through JSON: sorted keys, tuples as lists."""
     return dict(json.loads(canonical_json(value, where)))
 

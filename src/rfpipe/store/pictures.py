@@ -20,9 +20,9 @@ from rfpipe.errors import (
 )
 from rfpipe.store.chunks import damaged_metadata, read_attributes
 from rfpipe.store.files import (
+    canonical_data,
     canonical_json,
     digest_of,
-    plain_data,
     remove_tree,
     storage_errors,
     write_atomically,
@@ -139,7 +139,7 @@ class PictureStore:
         """
         frame_dtype = np.dtype(dtype)
         header = {"kind": KIND, "fingerprint": fingerprint, "attributes": attributes}
-        header = plain_data(header, f"{path}: attributes")
+        header = canonical_data(header, f"{path}: attributes")
         lock = StoreLock(path)
         lock.acquire()
         try:

@@ -32,8 +32,8 @@ from rfpipe.transport.wavelet import WaveletTransport
 from rfpipe.viewer.program import (
     CAMERA,
     PROJECTOR,
-    Kind,
     Operation,
+    OperationKind,
     Program,
     digest_of_array,
 )
@@ -136,7 +136,12 @@ class Chain:
         return self._part.program.buffer((*self._key, name, size), size)
 
     def add(
-        self, kind: Kind, source: int, target: int, arrays: Mapping[str, Any], **options: Any
+        self,
+        kind: OperationKind,
+        source: int,
+        target: int,
+        arrays: Mapping[str, Any],
+        **options: Any,
     ) -> None:
         """Append an operation; consecutive shared operations form one step."""
         is_shared = options.get("shared", False)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rfpipe.store.files import digest_of
 
-Kind = Literal["gather", "scale", "csr", "dense", "pairs", "leaves"]
+OperationKind = Literal["gather", "scale", "csr", "dense", "pairs", "leaves"]
 
 PROJECTOR, CAMERA = 0, 1
 """Numbers of the buffers of the projector's and the camera's rays."""
@@ -71,7 +71,7 @@ class Operation:
         Part of the transport that it belongs to; empty if it belongs to several.
     """
 
-    kind: Kind
+    kind: OperationKind
     source: int
     target: int
     arrays: Mapping[str, NDArray[Any]]
