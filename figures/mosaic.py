@@ -11,7 +11,7 @@ import pandas as pd
 from figures.common import Items, Picture, Size, Table, error, percent
 from rfpipe import CameraModel
 from rfpipe.array_types import Float
-from rfpipe.photometry import Merged
+from rfpipe.photometry import MergedImages
 from rfpipe.photometry.demosaic import demosaic, mosaic
 from rfpipe.photometry.normalize import apply, level_gain
 from rfpipe.report.drawing import Panel, draw
@@ -106,14 +106,14 @@ def _normalized(
     return panels, rows
 
 
-def _through_mosaic(truth: Float, camera: CameraModel) -> Merged:
+def _through_mosaic(truth: Float, camera: CameraModel) -> MergedImages:
     """Capture and merge images (P, H, W, 3) behind a mosaic: radiance and variance (P, H, W)."""
     samples = mosaic(truth, _BAYER)[..., None]
     frames = np.stack([camera.expose(image, 1, (1, n)) for n, image in enumerate(samples)])
     dark = np.zeros_like(samples[0])
     off = np.stack([camera.expose(dark, 1, (2, n)) for n in range(_BLACK_FRAMES)])
     merged = camera.merge(frames, off.mean(axis=0, dtype=np.float64).astype(np.float32))
-    return Merged(merged.radiance[..., 0], merged.variance[..., 0], merged.saturated)
+    return MergedImages(merged.radiance[..., 0], merged.variance[..., 0], merged.saturated)
 
 
 def _smooth_colours(images: Float) -> Float:

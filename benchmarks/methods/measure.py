@@ -157,7 +157,7 @@ def _photographed(stage: Stage, light: str, seed: int) -> tuple[float, float]:
     dark = np.zeros_like(pictures[0])
     keys = [(_PHOTOGRAPHS, index) for index in range(_BLACK + len(pictures))]
     off = [sensor.expose(dark, seed, key) for key in keys[:_BLACK]]
-    merge = sensor.merging(np.mean(off, axis=0, dtype=np.float32), _BLACK)
+    merge = sensor.bracket_merge(np.mean(off, axis=0, dtype=np.float32), _BLACK)
     on = [
         sensor.expose(image, seed, key) for image, key in zip(pictures, keys[_BLACK:], strict=True)
     ]

@@ -16,7 +16,7 @@ from rfpipe.jobs.workers import Resources
 from rfpipe.photometry import CameraModel, ExactSensor
 from rfpipe.photometry.defects import DefectMap
 from rfpipe.provenance import generator
-from rfpipe.references.reference_images import BracketMerger, estimate_references
+from rfpipe.references.reference_images import DefectMaskingMerge, estimate_references
 
 CAMERA = CameraModel()
 IMAGE = (11, 13, 3)
@@ -45,11 +45,11 @@ def test_reference_images_do_not_depend_on_batches(camera: Any) -> None:
     )
     for name in ("black", "floodlit", "floodlit_variance"):
         np.testing.assert_array_equal(getattr(apart, name), getattr(together, name))
-    assert together.merger.black_count == apart.merger.black_count == 5
+    assert together.merge.black_count == apart.merge.black_count == 5
     if camera is CAMERA:
-        assert together.merger.defects is not None
-        assert apart.merger.defects is not None
-        assert np.argwhere(apart.merger.defects.mask).tolist() == [[4, 5]]
+        assert together.merge.defects is not None
+        assert apart.merge.defects is not None
+        assert np.argwhere(apart.merge.defects.mask).tolist() == [[4, 5]]
         assert (together.floodlit[4, 5] == 0).all()
         unknown = np.isinf(together.floodlit_variance)
         assert np.argwhere(unknown.all(axis=-1)).tolist() == [[4, 5]]
@@ -60,15 +60,15 @@ def test_defects_are_masked_in_single_images_and_in_batches() -> None:
     frames, off = captured(CAMERA, 4)
     mask = np.zeros(IMAGE[:2], bool)
     mask[0, 0] = mask[2, 3] = mask[5:8, 6:9] = True
-    merger = BracketMerger(CAMERA, off, 4, DefectMap(mask, 1, 1))
+    merge = DefectMaskingMerge(CAMERA, off, 4, DefectMap(mask, 1, 1))
     plain = CAMERA.merge(frames, off, 4)
-    together = merger.merge(frames, 0)
+    together = merge(frames, 0)
     np.testing.assert_array_equal(together.radiance[:, ~mask], plain.radiance[:, ~mask])
     np.testing.assert_array_equal(together.variance[:, ~mask], plain.variance[:, ~mask])
     assert (together.radiance[:, mask] == 0).all()
     assert np.isposinf(together.variance[:, mask]).all()
     for index in range(4):
-        single = merger.merge(frames[index : index + 1], index)
+        single = merge(frames[index : index + 1], index)
         np.testing.assert_array_equal(single.radiance[0], together.radiance[index])
         np.testing.assert_array_equal(single.variance[0], together.variance[index])
     assert together.radiance.dtype == together.variance.dtype == np.float32
@@ -140,7 +140,7 @@ def test_the_floodlit_image_has_the_variance_of_a_mean() -> None:
     off = np.stack([CAMERA.expose(np.zeros_like(image), 1, (9, index)) for index in range(64)])
     on = np.stack([CAMERA.expose(image, 1, (8, index)) for index in range(6)])
     references = estimate_references(CAMERA, [off], [on])
-    single_variance = CAMERA.merge(on, references.black, 64).variance
+    single_variance = CAMERA.merge(on, references.merge.black, 64).variance
     np.testing.assert_allclose(
         references.floodlit_variance, single_variance.mean(axis=0) / 6, rtol=1e-5
     )

@@ -72,7 +72,7 @@ def acquisition(results: Path, estimate: float | None, measured: float | None = 
     levels[1]["ended"] = "all rounds are shown"
     facts = {
         "scene": "vase", "method": "auto", "levels": levels,
-        "made_of": {"refine": [[0, "x"], [1, "y"]]},
+        "inputs": {"refine": [[0, "x"], [1, "y"]]},
         "options": {"target_error": 0.01, "target_indirect": None},
     }  # fmt: skip
     write_manifest(folder / "transport.json", facts)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from rfpipe.errors import CaptureError
-from rfpipe.photometry import CameraModel, ExactSensor, Merged
+from rfpipe.photometry import CameraModel, ExactSensor, MergedImages
 from rfpipe.photometry.camera import UNKNOWN_DEVIATION, merge_bracket
 from rfpipe.photometry.demosaic import demosaic
 
 CAMERA = CameraModel()
 
 
-def take(camera: CameraModel, image: np.ndarray, count: int = 8, key: int = 0) -> Merged:
+def take(camera: CameraModel, image: np.ndarray, count: int = 8, key: int = 0) -> MergedImages:
     """Return the merge of exposed brackets, with `count` all-off brackets."""
     return camera.merge(camera.expose(image, 1, (2, key))[None], black(camera, image, count), count)
 
@@ -132,15 +132,15 @@ def test_wrong_frames_are_refused() -> None:
     image = flat(0.1, (4, 5, 3))
     off, bracket = black(CAMERA, image), CAMERA.expose(image, 0, (0, 0))[None]
     with pytest.raises(CaptureError, match=r"pattern 32: brackets have the shape \(4, 4, 4, 3\)"):
-        CAMERA.merging(off)(bracket[:, :, :, :4], 32)
+        CAMERA.bracket_merge(off)(bracket[:, :, :, :4], 32)
     with pytest.raises(CaptureError, match="dtype float64"):
-        CAMERA.merging(off)(bracket.astype(float), 32)
+        CAMERA.bracket_merge(off)(bracket.astype(float), 32)
     wild = np.repeat(bracket, 2, axis=0)
     wild[1, 2, 3, 4, 0] = 5000
     with pytest.raises(
         CaptureError, match=r"pattern 33 holds 5000 counts at exposure 2, pixel \(3, 4, 0\).* 4095"
     ):
-        CAMERA.merging(off)(wild, 32)
+        CAMERA.bracket_merge(off)(wild, 32)
     off[0, 0, 0, 0] = np.nan
     with pytest.raises(CaptureError, match="all-off frames hold NaN"):
         CAMERA.merge(bracket, off)
@@ -151,7 +151,7 @@ def test_impossible_float_frames_are_named(value: float) -> None:
     frames = np.ones((3, 1, 4, 5, 3), np.float32)
     frames[1, 0, 2, 3, 1] = value
     with pytest.raises(CaptureError, match=rf"pattern 33 holds {value} at pixel \(0, 2, 3, 1\)"):
-        ExactSensor().merging(np.zeros(frames.shape[1:]))(frames, 32)
+        ExactSensor().bracket_merge(np.zeros(frames.shape[1:]))(frames, 32)
 
 
 def test_exact_sensor_returns_the_radiance() -> None:

@@ -89,8 +89,8 @@ def test_an_invisible_ray_has_no_light_and_causes_no_error() -> None:
     check_floodlit(merged.radiance, merged.variance)
     assert not sensor.resampling.visible[1, 1]
     assert sensor.resampling.visible.sum() == 11
-    merger = estimate_references(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
-    assert merger.floodlit.shape == (*SHAPE, 1)
+    references = estimate_references(sensor, [np.stack([black, black]).astype(np.uint16)], [frames])
+    assert references.floodlit.shape == (*SHAPE, 1)
 
 
 def test_defective_pixels_have_no_weight() -> None:
@@ -109,10 +109,10 @@ def test_a_ray_without_a_good_pixel_is_unknown() -> None:
     light = np.full((*SHAPE, 1), 0.5, np.float32)
     dark, frames = frames_of(CAMERA, np.zeros_like(light), 8), frames_of(CAMERA, light, 2)
     dark[:, :, 0, 1], frames[:, :, 0, 1] = 3000, 3000
-    merger = estimate_references(sensor, [dark], [frames])
+    references = estimate_references(sensor, [dark], [frames])
     for image, spread in (
-        (merger.floodlit, merger.floodlit_variance),
-        (merger.merge(frames, 0).radiance[1], merger.merge(frames, 0).variance[1]),
+        (references.floodlit, references.floodlit_variance),
+        (references.merge(frames, 0).radiance[1], references.merge(frames, 0).variance[1]),
     ):
         assert np.flatnonzero(np.isinf(spread)).tolist() == [1]
         assert np.flatnonzero(image == 0).tolist() == [1, 7]

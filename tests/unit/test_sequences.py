@@ -213,7 +213,12 @@ def test_an_interrupted_capture_continues_at_its_sequence(tmp_path: Path) -> Non
     plain, (shown, _) = rig(), patterns("half")
     folder = FolderStorage(tmp_path / "scene" / "method")
     facts = {"stage": "schedule", "level": 1, "patterns": COUNT, "complete": False}
-    facts |= {"shape": list(RAYS), "shown": "these", "seed": 1, "units": "fraction of full light"}
+    facts |= {
+        "shape": list(RAYS),
+        "pattern_digest": "these",
+        "seed": 1,
+        "units": "fraction of full light",
+    }
     write_result(folder.manifest(1, "schedule"), "these", {"weights": shown}, facts)
     with pytest.raises(KeyboardInterrupt):
         capture.run(CaptureContext(folder, rig_source=GivenRig(Stopping(plain, longest=5))), 1)

@@ -48,7 +48,7 @@ for level, patterns in enumerate((1, count)):
         {"pattern_of_ray": lit},
         {
             "seed": level, "patterns": patterns, "complete": True, "shape": shape,
-            "shown": schedule.digest(),
+            "pattern_digest": schedule.digest(),
         },
     )
     capture.run(acquisition, level)

@@ -1,4 +1,4 @@
-"""Runs that delete their raw exposures after merging them."""
+"""Runs that delete their brackets after merging them."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ RAW = ("L00/reference_brackets.zarr", "L00/capture.zarr", "L01/capture.zarr")
 
 @pytest.fixture
 def acquisition(tmp_path: Path) -> StagewiseAcquisition:
-    """An acquisition of two levels without raw exposures; its rig counts further patterns."""
+    """An acquisition of two levels without brackets; its rig counts further patterns."""
     acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
     acquisition.settings = replace(SETTINGS, keep_raw=False)
     for level in (0, 1):
@@ -226,7 +226,7 @@ def test_a_run_can_delete_its_raw_exposures(copy: Workflow, undisturbed: Workflo
     folder = copy.path("tiny/symmetric")
     copy.configure(capture={"keep_raw": False})
     output = copy.run("results/tiny/symmetric/raw_dropped")  # only deletes exposures
-    assert output.count("raw exposures dropped") == 4
+    assert output.count("brackets dropped") == 4
     assert "patterns in" not in output
     assert list(folder.glob("L*/capture.zarr/c.*")) == []
     remaining, expected = copy.contents("tiny/symmetric"), undisturbed.contents("tiny/symmetric")

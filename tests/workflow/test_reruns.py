@@ -25,11 +25,12 @@ def jobs(output: str) -> Counter[str]:
     return Counter(re.findall(r"Finished jobid: \d+ \(Rule: (\w+)\)", output))
 
 
-def shown(workflow: Workflow) -> list[str]:
+def pattern_digests(workflow: Workflow) -> list[str]:
     """Digests of each level's patterns."""
     folder = workflow.path("tiny/dual")
     return [
-        read_manifest(path).get("shown", "") for path in sorted(folder.glob("L*/schedule.json"))
+        read_manifest(path).get("pattern_digest", "")
+        for path in sorted(folder.glob("L*/schedule.json"))
     ]
 
 
@@ -58,12 +59,12 @@ def test_a_second_run_has_nothing_to_do(undisturbed: Workflow) -> None:
 def test_a_changed_setting_runs_its_stages_again(
     copy: Workflow, changes: dict[str, Any], runs: dict[str, int]
 ) -> None:
-    before = shown(copy)
+    before = pattern_digests(copy)
     copy.configure(**changes)
     ran = jobs(copy.run(DUAL))
     assert {name: ran[name] for name in runs} == runs
     if "capture_simulated" not in runs:
-        captured = sum(old != new for old, new in zip(before, shown(copy), strict=True))
+        captured = sum(old != new for old, new in zip(before, pattern_digests(copy), strict=True))
         assert ran["capture_simulated"] == captured
     if not runs:
         assert not ran
@@ -72,10 +73,10 @@ def test_a_changed_setting_runs_its_stages_again(
 
 @SLOW
 def test_another_tolerance_captures_the_levels_with_other_patterns(copy: Workflow) -> None:
-    before = shown(copy)
+    before = pattern_digests(copy)
     copy.configure(methods={**CONFIG["methods"], "dual": {"tolerance": 0.1}})
     ran = jobs(copy.run(DUAL))
-    changed = sum(old != new for old, new in zip(before, shown(copy), strict=True))
+    changed = sum(old != new for old, new in zip(before, pattern_digests(copy), strict=True))
     assert 0 < changed < LEVELS  # otherwise the test proves nothing
     assert ran["capture_simulated"] == changed
     assert ran["refine"] == LEVELS

@@ -20,7 +20,7 @@ def test_every_stage_of_every_level_has_a_manifest(undisturbed: Workflow) -> Non
         assert len(levels) + 1 == len(list(folder.path.glob("L*"))) > 3
         for level, stage in product(levels, STAGES):
             stated = {"stage", "level", "units"}
-            stated |= {"shown"} if stage == "schedule" else {"digest", "fingerprint"}
+            stated |= {"pattern_digest"} if stage == "schedule" else {"digest", "fingerprint"}
             assert stated <= set(folder.read_manifest(level, stage))
             for suffix in (".log", ".benchmark.tsv"):
                 assert folder.manifest(level, stage).with_suffix(suffix).exists()

@@ -164,7 +164,7 @@ class StepContext:
         Channels are summed, since the light is white.
         """
         dark = self.findings["dark"]
-        merge = self.model.merging(dark["black"], dark["frames"])
+        merge = self.model.bracket_merge(dark["black"], dark["frames"])
         for frames in self.brackets(pictures, len(pictures), linear=linear):
             merged = merge(frames[None])
             yield (

@@ -125,7 +125,7 @@ def merged_pictures(
     """
     remaining = iter(brackets)
     black = np.mean([next(remaining) for _ in range(references)], axis=0).astype(np.float32)
-    merge = sensor.merging(black, references)
+    merge = sensor.bracket_merge(black, references)
     merged = [merge(frames[None]) for frames in remaining]
     radiance, variance = (
         np.concatenate(images).astype(np.float64).reshape(len(merged), -1, images[0].shape[-1])

@@ -107,8 +107,8 @@ class CaptureConfig(Settings):
     )
     keep_raw: bool = Field(
         True,
-        description="Keep the raw exposures; without them, other settings of merge need a new "
-        "capture.",
+        description="Keep the brackets, the raw exposures; without them, other settings of merge "
+        "need a new capture.",
     )
     warm_up_minutes: float = Field(
         0.0,

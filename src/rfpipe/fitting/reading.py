@@ -257,7 +257,7 @@ class MergedBrackets:
         black: Any = np.full(shape, camera.black_level_counts, np.float32)
         if frames:
             black = np.mean(frames, axis=0, dtype=np.float64)
-        return cls(shape, camera.merging(black.astype(np.float32), max(1, len(frames))))
+        return cls(shape, camera.bracket_merge(black.astype(np.float32), max(1, len(frames))))
 
     def saturated(self, brackets: Iterator[Bracket]) -> Bools:
         """Return the pixels that saturate in all exposures of any bracket."""

@@ -122,21 +122,27 @@ class Progress:
         Number of patterns or steps, 0 where it is unknown.
     done : int
         Number of those that were done before.
-    shown : bool
-        Whether progress is shown at all.
+    is_visible : bool
+        Whether progress is displayed or logged at all.
     unit : str
         Name of a pattern or step, in the singular.
     """
 
     def __init__(
-        self, name: str, total: int, done: int = 0, *, shown: bool = True, unit: str = "pattern"
+        self,
+        name: str,
+        total: int,
+        done: int = 0,
+        *,
+        is_visible: bool = True,
+        unit: str = "pattern",
     ) -> None:
         self._bar: Any = None
-        if shown and sys.stderr.isatty():
+        if is_visible and sys.stderr.isatty():
             from tqdm import tqdm
 
             self._bar = tqdm(total=total or None, initial=done, desc=name, unit=unit, leave=False)
-        elif shown:
+        elif is_visible:
             self._bar = _LoggedCount(name, total, done, unit)
 
     def advance(self, count: int) -> None:

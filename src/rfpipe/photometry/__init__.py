@@ -2,12 +2,12 @@
 
 from rfpipe.photometry.camera import CameraModel, sensor_from_config
 from rfpipe.photometry.resampling import ResampledSensor, Resampling, sensor_from_description
-from rfpipe.photometry.sensor import ExactSensor, Merged, Sensor
+from rfpipe.photometry.sensor import ExactSensor, MergedImages, Sensor
 
 __all__ = [
     "CameraModel",
     "ExactSensor",
-    "Merged",
+    "MergedImages",
     "ResampledSensor",
     "Resampling",
     "Sensor",

@@ -15,7 +15,7 @@ from rfpipe.errors import InputError
 from rfpipe.photometry.demosaic import check_mosaic, demosaic, mosaic
 from rfpipe.photometry.sensor import (
     ExactSensor,
-    Merged,
+    MergedImages,
     Sensor,
     check_black,
     check_frames,
@@ -140,7 +140,7 @@ class CameraModel(Sensor):
             frames[index] = self._frame(light, exposure, generator(seed, *key, index))
         return frames
 
-    def merging(self, black: NDArray[Any], black_count: int = 1) -> CountsMerge:
+    def bracket_merge(self, black: NDArray[Any], black_count: int = 1) -> CountsMerge:
         """Prepare a merge of brackets to radiance with its variance.
 
         Notes
@@ -253,7 +253,7 @@ class CountsMerge:
         self._background = (black if self._is_linear else background).reshape(len(black), -1)
         self._noise = (noise + steps[0] if self._is_linear else noise).reshape(len(black), -1)
 
-    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
+    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> MergedImages:
         """Merge brackets ``(B, *frame_shape)``; see `BracketMerge`."""
         frames = np.asarray(frames)
         check_shape(frames, self._shape, first_index)
@@ -281,7 +281,7 @@ class CountsMerge:
         merged = radiance.reshape(count, *image), variance.reshape(count, *image)
         if self._camera.bayer is not None:
             merged = demosaic(*merged, self._camera.bayer)
-        return Merged(*merged, saturated)
+        return MergedImages(*merged, saturated)
 
 
 def merge_bracket(

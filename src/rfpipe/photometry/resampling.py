@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.errors import InputError
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.photometry.demosaic import filling, weighed
-from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
+from rfpipe.photometry.sensor import BracketMerge, ExactSensor, MergedImages, Sensor
 from rfpipe.provenance import fingerprint
 from rfpipe.units import RADIANCE, picture_name
 
@@ -152,7 +152,7 @@ class ResampledSensor(Sensor):
             remedy="take frames with the camera, or use its CameraModel",
         )
 
-    def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
+    def bracket_merge(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
         """Prepare a merge of brackets (B, E, Hc, Wc[, C]) to radiance of rays (B, *rays, C).
 
         Photosites are merged as grey pixels; then one matrix both demosaics and resamples, so that
@@ -162,9 +162,9 @@ class ResampledSensor(Sensor):
         has_mosaic = self.sensor.bayer is not None
         black = np.asarray(black)
         grey = replace(self.sensor, bayer=None)
-        merge = grey.merging(black[..., None] if has_mosaic else black, black_count)
+        merge = grey.bracket_merge(black[..., None] if has_mosaic else black, black_count)
 
-        def resampled(frames: NDArray[Any], first_index: int = 0) -> Merged:
+        def resampled(frames: NDArray[Any], first_index: int = 0) -> MergedImages:
             frames = np.asarray(frames)
             merged = merge(frames[..., None] if has_mosaic else frames, first_index)
             repeats = 1 if has_mosaic else merged.radiance.shape[-1]
@@ -176,7 +176,7 @@ class ResampledSensor(Sensor):
                 )
             )
             shape = (len(frames), *self.resampling.shape, -1)
-            return Merged(radiance.reshape(shape), variance.reshape(shape), merged.saturated)
+            return MergedImages(radiance.reshape(shape), variance.reshape(shape), merged.saturated)
 
         return resampled
 

@@ -19,7 +19,7 @@ _NEGATIVE_TOLERANCE = 1e-3
 
 
 @dataclass(frozen=True)
-class Merged:
+class MergedImages:
     """Radiance images merged from brackets.
 
     Parameters
@@ -41,7 +41,7 @@ class Merged:
 class BracketMerge(Protocol):
     """Merge of brackets for given all-off frames; thread-safe."""
 
-    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> Merged:
+    def __call__(self, frames: NDArray[Any], first_index: int = 0) -> MergedImages:
         """Merge brackets (B, E, ...); `first_index` is the number of the first pattern.
 
         CaptureError if a frame is impossible for this sensor.
@@ -84,15 +84,17 @@ class Sensor(Protocol):
         or not finite.
         """
 
-    def merge(self, frames: NDArray[Any], black: NDArray[Any], black_count: int = 1) -> Merged:
+    def merge(
+        self, frames: NDArray[Any], black: NDArray[Any], black_count: int = 1
+    ) -> MergedImages:
         """Merge brackets (B, E, ...), given the mean of `black_count` all-off brackets (E, ...).
 
         The variance includes the noise of this mean. CaptureError, with pattern and pixel, if a
         frame is impossible for this sensor.
         """
-        return self.merging(black, black_count)(frames)
+        return self.bracket_merge(black, black_count)(frames)
 
-    def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
+    def bracket_merge(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:
         """Prepare `merge` for many brackets with the same `black`.
 
         CaptureError if `black` is impossible for this sensor.
@@ -128,7 +130,7 @@ class ExactSensor(Sensor):
         """Return the radiance as the only frame of a bracket, float32 (1, *camera_shape, C)."""
         return check_light(radiance, key)[None]
 
-    def merging(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:  # noqa: ARG002
+    def bracket_merge(self, black: NDArray[Any], black_count: int = 1) -> BracketMerge:  # noqa: ARG002
         """Prepare a merge that subtracts the all-off frame; the variance is zero."""
         check_black(np.asarray(black), 1)
         return partial(_subtracted, np.asarray(black))
@@ -138,14 +140,14 @@ class ExactSensor(Sensor):
         return {"kind": "exact"}
 
 
-def _subtracted(black: NDArray[Any], frames: NDArray[Any], first_index: int = 0) -> Merged:
+def _subtracted(black: NDArray[Any], frames: NDArray[Any], first_index: int = 0) -> MergedImages:
     """Merge brackets of one exact exposure."""
     frames = np.asarray(frames)
     check_shape(frames, black.shape, first_index)
     for index, frame in enumerate(frames, first_index):
         _check_values(frame, f"pattern {index}")
     radiance = np.subtract(frames[:, 0], black[0], dtype=RADIANCE)
-    return Merged(radiance, np.zeros_like(radiance), 0)
+    return MergedImages(radiance, np.zeros_like(radiance), 0)
 
 
 def check_frames(frames: NDArray[Any], white_level: int, first_index: int) -> None:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Double
 from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
-from rfpipe.photometry.sensor import Merged
+from rfpipe.photometry.sensor import MergedImages
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.storage.base import CHECK_PICTURES, Storage
 
@@ -36,7 +36,7 @@ def check_pattern(projector_shape: tuple[int, ...]) -> NDArray[np.float32]:
     return np.asarray(lit if lit.any() else ~lit, np.float32)
 
 
-def first_check_picture(storage: Storage, references: ReferenceImages) -> Merged | None:
+def first_check_picture(storage: Storage, references: ReferenceImages) -> MergedImages | None:
     """Merge the acquisition's first check picture; None where there is none."""
     for level in storage.levels():
         with suppress(StoreError), storage.partial_brackets(level, CHECK_PICTURES) as frames:

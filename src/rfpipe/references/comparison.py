@@ -30,7 +30,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Double
-from rfpipe.photometry.sensor import Merged
+from rfpipe.photometry.sensor import MergedImages
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.rigs.faults import SIGNIFICANCE
 
@@ -82,14 +82,14 @@ class _Fit(NamedTuple):
 
 
 def compare_pictures(
-    references: ReferenceImages, earlier: Merged, bracket: NDArray[Any]
+    references: ReferenceImages, earlier: MergedImages, bracket: NDArray[Any]
 ) -> Difference:
     """Compare a bracket with an earlier picture of its pattern.
 
     Parameters
     ----------
     references : ReferenceImages
-    earlier : Merged
+    earlier : MergedImages
         One picture, (1, *camera_shape, C).
     bracket : ndarray, shape (1, E, ...)
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpipe.array_types import Double
-from rfpipe.photometry.sensor import Merged
+from rfpipe.photometry.sensor import MergedImages
 
 
 @dataclass(eq=False)
@@ -33,7 +33,7 @@ class ImageSum:
         """Return the sum of no images."""
         return cls(np.zeros(image_shape), np.zeros(image_shape))
 
-    def add_images(self, merged: Merged) -> None:
+    def add_images(self, merged: MergedImages) -> None:
         """Add images in their order, one by one, so that the result has reproducible bits."""
         for radiance, variance in zip(merged.radiance, merged.variance, strict=True):
             self.radiance += radiance

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from rfpipe.array_types import Double
-from rfpipe.photometry.sensor import Merged
+from rfpipe.photometry.sensor import MergedImages
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.references.steadiness import is_smooth
 from rfpipe.rigs.faults import SIGNIFICANCE
@@ -96,7 +96,7 @@ def measure_initial_brightness(
     if not is_smooth(series / series[-1]):
         return InitialBrightness(*ones, is_steady=False)
     end = _mean(lights)
-    mean = _light(Merged(references.floodlit[None], references.floodlit_variance[None], 0))
+    mean = _light(MergedImages(references.floodlit[None], references.floodlit_variance[None], 0))
     reference = level_0 or end
     end_ratio, mean_ratio = (_ratio(light, reference) for light in (end, mean))
     # from the middle of the last all-on brackets to the first picture of level 0
@@ -130,7 +130,7 @@ def _level_0_light(storage: Storage, references: ReferenceImages) -> _Light:
         return _light(references.merge(frames.read(0, 1)))
 
 
-def _light(merged: Merged) -> _Light:
+def _light(merged: MergedImages) -> _Light:
     """Light of the first of merged images, (*camera_shape, C)."""
     known = np.isfinite(merged.variance[0])
     parts = (np.where(known, image[0], 0) for image in (merged.radiance, merged.variance))

@@ -26,12 +26,12 @@ from rfpipe.photometry.defects import (
     find_defects,
 )
 from rfpipe.photometry.resampling import ResampledSensor
-from rfpipe.photometry.sensor import BracketMerge, ExactSensor, Merged, Sensor
+from rfpipe.photometry.sensor import BracketMerge, ExactSensor, MergedImages, Sensor
 from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, RigKind, kind_of_rig
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.storage.base import REFERENCE_BRACKETS, REFERENCE_IMAGES, Storage
 
-Frames = NDArray[Any]
+Brackets = NDArray[Any]
 
 _MAX_SATURATED = 0.01
 """Share of the floodlit image that may be saturated at every exposure: highlights, no surfaces."""
@@ -40,8 +40,8 @@ _log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
-class BracketMerger:
-    """Merge of an acquisition's brackets, with its black level and defective pixels.
+class DefectMaskingMerge:
+    """Merge of brackets with black level and defective pixels; a `BracketMerge`.
 
     Attributes
     ----------
@@ -59,29 +59,29 @@ class BracketMerger:
     black_count: int
     defects: DefectMap | None
 
-    def merge(self, brackets: Frames, first_index: int = 0) -> Merged:
+    def __call__(self, frames: Brackets, first_index: int = 0) -> MergedImages:
         """Merge brackets.
 
         Parameters
         ----------
-        brackets : ndarray, shape (B, E, ...)
+        frames : ndarray, shape (B, E, ...)
         first_index : int
             Number of the first bracket's pattern, for messages.
 
         Returns
         -------
-        Merged
+        MergedImages
             Masked rays have a radiance of 0 and an infinite variance.
         """
-        merged = self._merge_brackets(brackets, first_index)
+        merged = self._merge_unmasked(frames, first_index)
         if self._masked is not None:
             merged.radiance[:, self._masked] = 0
             merged.variance[:, self._masked] = np.inf
         return merged
 
     @cached_property
-    def _merge_brackets(self) -> BracketMerge:
-        return self._sensor_without_defects.merging(self.black, self.black_count)
+    def _merge_unmasked(self) -> BracketMerge:
+        return self._sensor_without_defects.bracket_merge(self.black, self.black_count)
 
     @cached_property
     def _sensor_without_defects(self) -> Sensor:
@@ -107,8 +107,9 @@ class ReferenceImages:
 
     Attributes
     ----------
-    merger : BracketMerger
-        Black level and defects, and the merge with them.
+    merge : DefectMaskingMerge
+        Merge of brackets with the black level and the defects:
+        ``references.merge(brackets, first_index)``.
     floodlit : ndarray of float32, shape (*camera_shape, C)
         Radiance under the all-on pattern, the mean of all all-on brackets. Levels are normalized to
         it, so that its noise becomes the noise of the direct light.
@@ -116,29 +117,15 @@ class ReferenceImages:
         Its variance; infinite at masked rays.
     """
 
-    merger: BracketMerger
+    merge: DefectMaskingMerge
     floodlit: Float
     floodlit_variance: Float
-
-    @property
-    def sensor(self) -> Sensor:
-        """Sensor of the acquisition."""
-        return self.merger.sensor
-
-    @property
-    def black(self) -> Float:
-        """Black level in counts, (E, ...)."""
-        return self.merger.black
-
-    def merge(self, brackets: Frames, first_index: int = 0) -> Merged:
-        """Merge brackets; see `BracketMerger.merge`."""
-        return self.merger.merge(brackets, first_index)
 
 
 def estimate_references(
     sensor: Sensor,
-    black_brackets: Iterable[Frames],
-    floodlit_brackets: Iterable[Frames],
+    black_brackets: Iterable[Brackets],
+    floodlit_brackets: Iterable[Brackets],
     mask_defects: bool = True,
     rig_kind: RigKind = RigKind.DEVICES,
 ) -> ReferenceImages:
@@ -171,8 +158,8 @@ def estimate_references(
     if mask_defects and is_camera:
         defects = find_defects(dark, first[0], sensor)
         _check_defects(defects)
-    merger = BracketMerger(sensor, dark.mean.astype(np.float32), dark.count, defects)
-    total = _sum_of(merger, chain([first], batches))
+    merge = DefectMaskingMerge(sensor, dark.mean.astype(np.float32), dark.count, defects)
+    total = _sum_of(merge, chain([first], batches))
     _check_saturation(total.saturated / (total.count * first[0, 0].size), sensor, rig_kind)
     if is_camera:
         known = np.isfinite(total.variance)
@@ -180,14 +167,14 @@ def estimate_references(
         check_floodlit(total.radiance[known], total.variance[known], remedy)
     floodlit = (total.radiance / total.count).astype(np.float32)
     variance = (total.variance / total.count**2).astype(np.float32)
-    return ReferenceImages(merger, floodlit, variance)
+    return ReferenceImages(merge, floodlit, variance)
 
 
-def _sum_of(merger: BracketMerger, batches: Iterable[Frames]) -> ImageSum:
+def _sum_of(merge: BracketMerge, batches: Iterable[Brackets]) -> ImageSum:
     """Sum up the merged images of batches of brackets."""
     total: ImageSum | None = None
     for brackets in batches:
-        merged = merger.merge(brackets, total.count if total else 0)
+        merged = merge(brackets, total.count if total else 0)
         total = total or ImageSum.zero(merged.radiance.shape[1:])
         total.add_images(merged)
     assert total is not None
@@ -240,12 +227,12 @@ def _bracket_counts(storage: Storage) -> dict[str, int]:
 def write_references(storage: Storage, references: ReferenceImages) -> dict[str, Any]:
     """Write the reference images; return their entry for the manifest of level 0's merge."""
     counts = _bracket_counts(storage)
-    arrays: dict[str, Frames] = {
-        "black": references.black,
+    arrays: dict[str, NDArray[Any]] = {
+        "black": references.merge.black,
         "floodlit": references.floodlit,
         "floodlit_variance": references.floodlit_variance,
     }
-    defects = references.merger.defects
+    defects = references.merge.defects
     if defects is not None:
         arrays["defects"] = defects.mask
         counts |= {"hot": defects.hot, "dead": defects.dead}
@@ -259,8 +246,8 @@ def read_references(sensor: Sensor, storage: Storage) -> ReferenceImages:
     defects = None
     if "defects" in arrays:
         defects = DefectMap(arrays["defects"], counts["hot"], counts["dead"])
-    merger = BracketMerger(sensor, arrays["black"], counts["all_off_brackets"], defects)
-    return ReferenceImages(merger, arrays["floodlit"], arrays["floodlit_variance"])
+    merge = DefectMaskingMerge(sensor, arrays["black"], counts["all_off_brackets"], defects)
+    return ReferenceImages(merge, arrays["floodlit"], arrays["floodlit_variance"])
 
 
 def read_floodlit(storage: Storage) -> tuple[Float, Float]:

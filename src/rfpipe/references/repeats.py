@@ -25,7 +25,7 @@ Brackets = Sequence[NDArray[Any]]
 
 def gain_fault_of_repeats(repeats: Brackets, references: ReferenceImages) -> Fault | None:
     """Return the fault of gain, lamp or frame order that repeats show; None for exact radiance."""
-    camera = camera_model_of(references.sensor)
+    camera = camera_model_of(references.merge.sensor)
     return None if camera is None else unsteadiness_of(_samples(repeats, references), camera)
 
 
@@ -37,7 +37,7 @@ def fault_of_repeats(repeats: Brackets, references: ReferenceImages) -> Fault | 
     gain_fault = gain_fault_of_repeats(repeats, references)
     is_certain = gain_fault is not None and gain_fault.kind in ("flicker", "late")
     fault = gain_fault if is_certain else _room_fault_of(repeats, references) or gain_fault
-    camera = camera_model_of(references.sensor)
+    camera = camera_model_of(references.merge.sensor)
     if fault is None or fault.kind == "late" or camera is None:
         return fault
     return None if motion_of(_samples(repeats, references), camera) is not None else fault
@@ -53,4 +53,4 @@ def _room_fault_of(repeats: Brackets, references: ReferenceImages) -> Fault | No
 
 def _samples(repeats: Brackets, references: ReferenceImages) -> Samples:
     counts = np.stack([sample_pixels(bracket[0]) for bracket in repeats])
-    return Samples(counts, sample_pixels(references.black))
+    return Samples(counts, sample_pixels(references.merge.black))

@@ -176,7 +176,7 @@ def _read(
     """Merge the pictures to light on the rays, (K, H, W), and sample photosites of each frame."""
     shape = rig.sensor.frame_shape(rig.camera_shape, rig.channels)
     level = rig.camera_sensor.black_level_counts
-    merge = rig.sensor.merging(np.full(shape, level, np.float32))
+    merge = rig.sensor.bracket_merge(np.full(shape, level, np.float32))
     light, frames = [], []
     for paths in brackets:
         bracket = np.stack([_pixels(rig, path) for path in paths])

@@ -29,7 +29,7 @@ def run(acquisition: Acquisition) -> None:
         "references": storage.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
     }
     manifest = storage.path / "transport.json"
-    made_from = fingerprint(
+    inputs_fingerprint = fingerprint(
         {
             "plan": plan.describe(),
             **inputs,
@@ -37,18 +37,18 @@ def run(acquisition: Acquisition) -> None:
             "code": settings.code,
         }
     )
-    if current_manifest(manifest, made_from):
+    if current_manifest(manifest, inputs_fingerprint):
         return
     transport, masked = assembled(acquisition, len(levels))
     origin: dict[str, Any] = {
-        "scene": settings.scene, "method": plan.name, "fingerprint": made_from,
+        "scene": settings.scene, "method": plan.name, "fingerprint": inputs_fingerprint,
     }  # fmt: skip
     store = manifest.with_suffix(".zarr")
     digest = save_transport(transport, store, settings.number_format, resumes=True, **origin)
     masked_count = int(np.count_nonzero(masked))
     facts = _facts(acquisition, transport)
-    made = {"made_of": inputs, "digest": digest, "masked": masked_count, "versions": versions()}
-    write_manifest(manifest, {**origin, **facts, **made})
+    facts |= {"inputs": inputs, "digest": digest, "masked": masked_count, "versions": versions()}
+    write_manifest(manifest, {**origin, **facts})
 
 
 def _facts(acquisition: Acquisition, transport: Transport) -> dict[str, Any]:

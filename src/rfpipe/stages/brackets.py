@@ -113,7 +113,7 @@ def capture_brackets(
                 name, done, count, frames.missing(1)[0][0],
             )  # fmt: skip
         began = monotonic()
-        with Progress(name, count, done, shown=progress) as bar:
+        with Progress(name, count, done, is_visible=progress) as bar:
             for start, stop in frames.missing(batch):
                 _capture_batch(rig, brackets, frames, start, stop, watch)
                 bar.advance(stop - start)

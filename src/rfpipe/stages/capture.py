@@ -103,7 +103,7 @@ def capture_level(rig: Rig, context: CaptureContext, level: int) -> None:
     batch = _batch_patterns(rig, context)
     parts: Facts = {} if level else _write_sensor(storage, rig.sensor)
     # a simulated scene may be recorded at its first picture
-    with displayed_by(partial(Progress, unit="step", shown=settings.progress)):
+    with displayed_by(partial(Progress, unit="step", is_visible=settings.progress)):
         for brackets in first_sets:
             counts = {key: value for key, value in brackets.settings.items() if key != "rig"}
             entry = capture_brackets(rig, storage, brackets, batch, progress=settings.progress)
@@ -160,7 +160,7 @@ def bracket_sets(
     schedule = read_schedule(storage, level)
     shape = schedule.shape
 
-    def of_schedule(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
+    def schedule_patterns(first: int, last: int) -> tuple[NDArray[np.float32], Keys]:
         keys: Keys = [(schedule.seed, index) for index in range(first, last)]
         return schedule.batch(first, last), keys
 
@@ -182,9 +182,14 @@ def bracket_sets(
         counts = {"symmetry_brackets": frames, "rig": described}
         name = "brackets of random patterns"
         sets.append(BracketSet(level, SYMMETRY, name, frames, counts, patterns))
-    shown = {"patterns": schedule.count, "shown": schedule.digest(), "rig": described}
+    attributes = {
+        "patterns": schedule.count, "pattern_digest": schedule.digest(), "rig": described,
+    }  # fmt: skip
     name = level_name(level)
-    return [*sets, BracketSet(level, "capture", name, schedule.count, shown, of_schedule)]
+    return [
+        *sets,
+        BracketSet(level, "capture", name, schedule.count, attributes, schedule_patterns),
+    ]
 
 
 def reference_patterns(

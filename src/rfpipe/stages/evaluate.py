@@ -128,12 +128,12 @@ def errors_by_level(facts: Mapping[str, Any]) -> list[tuple[int, int, float]]:
     Levels without patterns are omitted, as in ``levels.csv``.
     """
     errors, levels = facts["level_errors"], facts["levels"]
-    shown = np.cumsum([row["patterns"] for row in levels])
+    total_patterns = np.cumsum([row["patterns"] for row in levels])
     if len(errors) == 1:
         used = [index for index, row in enumerate(levels) if is_used(row)]
         last = used[-1] if used else len(levels) - 1
-        return [(levels[last]["level"], int(shown[-1]), errors[0])]
-    known = zip(levels[-len(errors) :], shown[-len(errors) :], errors, strict=True)
+        return [(levels[last]["level"], int(total_patterns[-1]), errors[0])]
+    known = zip(levels[-len(errors) :], total_patterns[-len(errors) :], errors, strict=True)
     return [(row["level"], int(count), error) for row, count, error in known if row["patterns"]]
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.jobs.job import Progress
-from rfpipe.photometry.sensor import Merged, Sensor
+from rfpipe.photometry.sensor import MergedImages, Sensor
 from rfpipe.provenance import fingerprint, versions
 from rfpipe.references.drift import measure_drift
 from rfpipe.references.image_sum import ImageSum
@@ -45,8 +45,8 @@ from rfpipe.units import RADIANCE, RADIANCE_UNIT
 _CHUNK_BYTES = 2 * 2**20
 """Size of a chunk of merged images; radiance and variance of 62 x 70 RGB rays make 100 kB."""
 
-_CHUNKS_PER_PIECE = 8
-"""Chunks of a piece of work, which is also a file, so that no two workers write the same file.
+_CHUNKS_PER_FILE = 8
+"""Chunks of a file, whose patterns a worker merges at a time: no two workers write the same file.
 Large enough that the overhead of a thread or a cluster is negligible."""
 
 _log = logging.getLogger(__name__)
@@ -71,11 +71,11 @@ def run(context: CaptureContext, level: int) -> None:
     storage, settings = context.storage, context.settings
     sensor = context.sensor or read_sensor(storage)
     inputs = _inputs(context, level, sensor)
-    made_from = fingerprint([inputs, settings.code])
-    if storage.current_manifest(level, "merge", made_from) is None:
-        facts = storage.images_without_raw(level, inputs, made_from)
+    inputs_fingerprint = fingerprint([inputs, settings.code])
+    if storage.current_manifest(level, "merge", inputs_fingerprint) is None:
+        facts = storage.images_without_raw(level, inputs, inputs_fingerprint)
         if facts is None:
-            facts = _merged_facts(context, level, sensor, inputs, made_from)
+            facts = _merged_facts(context, level, sensor, inputs, inputs_fingerprint)
         storage.write_manifest(level, "merge", facts)
     if not settings.keep_raw:
         storage.drop_raw(level)
@@ -102,7 +102,7 @@ def _inputs(context: CaptureContext, level: int, sensor: Sensor) -> Facts:
 
 
 def _merged_facts(
-    context: CaptureContext, level: int, sensor: Sensor, inputs: Facts, made_from: str
+    context: CaptureContext, level: int, sensor: Sensor, inputs: Facts, inputs_fingerprint: str
 ) -> Facts:
     """Merge a level's brackets, write its images, and return the manifest."""
     storage, settings = context.storage, context.settings
@@ -110,8 +110,8 @@ def _merged_facts(
         "stage": "merge",
         "level": level,
         "units": RADIANCE_UNIT,
-        "made_of": inputs,
-        "fingerprint": made_from,
+        "inputs": inputs,
+        "fingerprint": inputs_fingerprint,
         "versions": versions(),
     }
     if level == 0:
@@ -137,13 +137,13 @@ def chunk_patterns(image_shape: tuple[int, ...]) -> int:
     return max(1, _CHUNK_BYTES // (2 * prod(image_shape) * np.dtype(RADIANCE).itemsize))
 
 
-def merge_pieces(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, int]]:
-    """Divide a level's patterns into the ranges that are merged and summed as a piece of work.
+def file_ranges(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, int]]:
+    """Divide a level's patterns into the ranges ``(first, last + 1)`` of its files of images.
 
-    The ranges don't depend on memory, threads or cluster, so that a level's sum, the sum
-    of its pieces, has the same bits everywhere.
+    A worker merges and sums up the patterns of a file at a time. The ranges don't depend on memory,
+    threads or cluster, so that a level's sum, the sum over its files, has the same bits everywhere.
     """
-    step = _CHUNKS_PER_PIECE * chunk_patterns(image_shape)
+    step = _CHUNKS_PER_FILE * chunk_patterns(image_shape)
     return [(first, min(first + step, count)) for first in range(0, count, step)]
 
 
@@ -172,8 +172,21 @@ def _measure_and_write_references(
 
 
 @dataclass(frozen=True, eq=False)
-class _MergeRun:
-    """Merges runs of a level's brackets and writes their images, in any thread or process."""
+class _FileMerge:
+    """Merges the brackets of a file and writes their images, in any thread or process.
+
+    Attributes
+    ----------
+    references : ReferenceImages
+    gains : ndarray of float64, shape (patterns, C), or None
+        Brightness of the lamp at each pattern, divided out.
+    frames : StoredPictures
+        Brackets of the level.
+    images : ItemWriter
+        Writer of the level's images.
+    chunk : int
+        Patterns per chunk.
+    """
 
     references: ReferenceImages
     gains: NDArray[np.float64] | None
@@ -182,7 +195,7 @@ class _MergeRun:
     chunk: int
 
     def __call__(self, first: int, last: int) -> tuple[int, list[str], ImageSum]:
-        """Merge a run; return its first pattern, and the digests and the sum of its images."""
+        """Merge patterns ``first:last``; return `first`, and digests and sum of their images."""
         digests: list[str] = []
         total = ImageSum.zero(self.references.floodlit.shape)
         with self.images.adding(first) as add:
@@ -196,21 +209,21 @@ class _MergeRun:
         return first, digests, total
 
     @property
-    def bytes_per_run(self) -> int:
-        """Memory that the merge of a run takes."""
+    def memory_bytes(self) -> int:
+        """Memory that the merge of a file takes."""
         image = 2 * self.references.floodlit.nbytes
         # The merge by NumPy has up to five float32 copies of a bracket; images exist as such, as
         # a block and compressed.
-        brackets = self.references.black.nbytes * 5
-        return brackets + self.chunk * (self.references.black.nbytes + 3 * image) + 2 * image
+        brackets = self.references.merge.black.nbytes * 5
+        return brackets + self.chunk * (self.references.merge.black.nbytes + 3 * image) + 2 * image
 
 
-def _divided(merged: Merged, gains: NDArray[np.float64]) -> Merged:
-    """Return images (B, *camera_shape, C) over gains (B, C); their noise is small beside theirs."""
-    over = gains.reshape(len(gains), *[1] * (merged.radiance.ndim - 2), -1)
-    radiance = (merged.radiance / over).astype(np.float32)
-    variance = (merged.variance / over**2).astype(np.float32)
-    return Merged(radiance, variance, merged.saturated)
+def _divided(merged: MergedImages, gains: NDArray[np.float64]) -> MergedImages:
+    """Divide images (B, *camera_shape, C) by gains (B, C), whose noise is negligible."""
+    divisor = gains.reshape(len(gains), *[1] * (merged.radiance.ndim - 2), -1)
+    radiance = (merged.radiance / divisor).astype(np.float32)
+    variance = (merged.variance / divisor**2).astype(np.float32)
+    return MergedImages(radiance, variance, merged.saturated)
 
 
 def _merge_images(
@@ -228,23 +241,24 @@ def _merge_images(
     with ExitStack() as stack:
         frames = stack.enter_context(storage.pictures(level, "capture"))
         count = frames.shape[0]
-        pieces = merge_pieces(count, image_shape)
-        # a run is a shard, so that no two workers ever write the same one
-        run_chunks = max(-(-(last - first) // chunk) for first, last in pieces or [(0, 1)])
-        layout, shape = (chunk, run_chunks), (count, 2, *image_shape)
+        ranges = file_ranges(count, image_shape)
+        chunks_per_file = max(-(-(last - first) // chunk) for first, last in ranges or [(0, 1)])
+        layout, shape = (chunk, chunks_per_file), (count, 2, *image_shape)
         images, writer = stack.enter_context(
             storage.record_images(level, shape, facts["fingerprint"], layout)
         )
-        progress = Progress(f"{level_name(level)} merge", count, shown=context.settings.progress)
-        bar = stack.enter_context(progress)
-        work = _MergeRun(references, gains, frames, writer, chunk)
-        workers = stack.enter_context(
-            context.resources.workers(work.bytes_per_run, storage.folder(level))
+        progress = Progress(
+            f"{level_name(level)} merge", count, is_visible=context.settings.progress
         )
-        for first, digests, run_sum in workers.results(work, pieces):
+        bar = stack.enter_context(progress)
+        work = _FileMerge(references, gains, frames, writer, chunk)
+        workers = stack.enter_context(
+            context.resources.workers(work.memory_bytes, storage.folder(level))
+        )
+        for first, digests, file_sum in workers.results(work, ranges):
             images.enter(first, digests)
-            total.add_sum(run_sum)
-            bar.advance(run_sum.count)
+            total.add_sum(file_sum)
+            bar.advance(file_sum.count)
         entry = images.entry()
     samples = count * int(np.prod(image_shape))
     if total.saturated:

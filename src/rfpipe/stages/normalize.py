@@ -97,7 +97,7 @@ def run(acquisition: Acquisition, level: int) -> None:
     inputs = {
         "merge": storage.read_manifest(level, "merge")[SUMS]["digest"],
         "references": storage.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],
-        "schedule": [planned["shown"], planned["complete"]],
+        "schedule": [planned["pattern_digest"], planned["complete"]],
         "mode": mode,
         "noise_significance": significance,
         "code": acquisition.settings.code,
@@ -106,8 +106,8 @@ def run(acquisition: Acquisition, level: int) -> None:
     needs_state = not planned["complete"] and mode != "none"
     if needs_state:
         inputs |= {"plan": plan.describe(), "refine": acquisition.refined_digests(level)}
-    made_from = fingerprint(inputs)
-    if storage.current_manifest(level, "normalize", made_from):
+    inputs_fingerprint = fingerprint(inputs)
+    if storage.current_manifest(level, "normalize", inputs_fingerprint):
         return
     schedule, unlit_light = read_schedule(storage, level), None
     if needs_state:
@@ -125,7 +125,7 @@ def run(acquisition: Acquisition, level: int) -> None:
         "covered_fraction": float(np.mean(factors.covered)),
     }
     arrays = {"gain": factors.gain, "covered": factors.covered}
-    storage.write(level, "normalize", made_from, arrays, facts)
+    storage.write(level, "normalize", inputs_fingerprint, arrays, facts)
 
 
 def read_normalization(storage: Storage, level: int) -> LevelGain:

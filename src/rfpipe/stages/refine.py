@@ -30,17 +30,17 @@ def run(acquisition: Acquisition, level: int) -> Any:
     """
     plan, storage = acquisition.plan, acquisition.storage
     planned = storage.read_manifest(level, "schedule")
-    made_from = fingerprint(
+    inputs_fingerprint = fingerprint(
         {
             "plan": plan.describe(),
             "refine": acquisition.refined_digests(level),
-            "schedule": [planned["shown"], planned["complete"]],
+            "schedule": [planned["pattern_digest"], planned["complete"]],
             "merge": storage.read_manifest(level, "merge")["digest"],
             "normalize": storage.read_manifest(level, "normalize")["digest"],
             "code": acquisition.settings.code,
         }
     )
-    if storage.current_manifest(level, "refine", made_from):
+    if storage.current_manifest(level, "refine", inputs_fingerprint):
         return None
     previous = acquisition.state_before(level)
     schedule, factors = read_schedule(storage, level), read_normalization(storage, level)
@@ -49,7 +49,7 @@ def run(acquisition: Acquisition, level: int) -> Any:
         if schedule.count == 1 and schedule.complete:  # the floodlit image has far less noise
             floodlit, variance = (image[None] for image in read_floodlit(storage))
             images = ScheduledImages(schedule, lambda *_: (floodlit, variance))
-        with displayed_by(partial(Progress, unit="step", shown=acquisition.settings.progress)):
+        with displayed_by(partial(Progress, unit="step", is_visible=acquisition.settings.progress)):
             state = plan.method.refine(previous, images, acquisition.resources.data_bytes)
     _log_estimate(state.rows, plan.options)
     changed = state.to_arrays(previous)
@@ -60,7 +60,9 @@ def run(acquisition: Acquisition, level: int) -> Any:
         "patterns": planned["patterns"],
         "units": RADIANCE_UNIT,
     }
-    storage.write(level, "refine", made_from, changed.arrays, facts, state=dict(changed.attributes))
+    storage.write(
+        level, "refine", inputs_fingerprint, changed.arrays, facts, state=dict(changed.attributes)
+    )
     return state
 
 

@@ -294,7 +294,9 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
     else:
         floodlit, _ = read_floodlit(FolderStorage(folder))
         arrays = relit_of_captured(transport, floodlit)
-    made_from = fingerprint({"transport": acquired["digest"], "scene": scene, "code": code})
+    inputs_fingerprint = fingerprint(
+        {"transport": acquired["digest"], "scene": scene, "code": code}
+    )
     facts = {
         "stage": "relight",
         "transport": acquired["digest"],
@@ -309,4 +311,4 @@ def run(folder: Path, scene: SceneSettings, code: str) -> None:
         "light": light,
         **errors,
     }
-    write_result(folder / "relight.json", made_from, arrays, facts)
+    write_result(folder / "relight.json", inputs_fingerprint, arrays, facts)

@@ -23,19 +23,19 @@ def run(acquisition: Acquisition, level: int) -> None:
     The manifest of a complete acquisition has 0 patterns.
     """
     plan, storage = acquisition.plan, acquisition.storage
-    made_from = fingerprint(
+    inputs_fingerprint = fingerprint(
         {
             "plan": plan.describe(),
             "refine": acquisition.refined_digests(level),
             "code": acquisition.settings.code,
         }
     )
-    if storage.current_manifest(level, "schedule", made_from):
+    if storage.current_manifest(level, "schedule", inputs_fingerprint):
         return
     schedule = plan.method.next_schedule(acquisition.state_before(level))
     if schedule is None:
         facts = {"stage": "schedule", "level": level, "patterns": 0}
-        storage.write_part(level, "schedule", {}, facts=facts, fingerprint=made_from)
+        storage.write_part(level, "schedule", {}, facts=facts, fingerprint=inputs_fingerprint)
         storage.write_manifest(level, "schedule", facts)
         return
     if not schedule.count:
@@ -44,7 +44,9 @@ def run(acquisition: Acquisition, level: int) -> None:
             remedy="return None from next_schedule when the method is done",
         )
     _warn_of_many_patterns(acquisition, level, schedule.count)
-    write_schedule(storage, level, made_from, schedule, coaxial=plan.method.needs_coaxial_rig)
+    write_schedule(
+        storage, level, inputs_fingerprint, schedule, coaxial=plan.method.needs_coaxial_rig
+    )
 
 
 def _warn_of_many_patterns(acquisition: Acquisition, level: int, patterns: int) -> None:
@@ -60,7 +62,7 @@ def _warn_of_many_patterns(acquisition: Acquisition, level: int, patterns: int) 
 
 
 def write_schedule(
-    storage: Storage, level: int, made_from: str, schedule: Schedule, **facts: Any
+    storage: Storage, level: int, inputs_fingerprint: str, schedule: Schedule, **facts: Any
 ) -> None:
     """Write a schedule, and a manifest that depends on its patterns alone.
 
@@ -74,14 +76,14 @@ def write_schedule(
         "level": level,
         "patterns": schedule.count,
         "complete": schedule.complete,
-        "shown": schedule.digest(),
+        "pattern_digest": schedule.digest(),
         "seed": schedule.seed,
         "shape": list(schedule.shape),
         "units": _UNITS if schedule.weights is None else _WEIGHT_UNITS,
         **facts,
     }
-    made = {"fingerprint": made_from, "versions": versions()}
-    storage.write_part(level, "schedule", arrays, facts=manifest, **made)
+    stamp = {"fingerprint": inputs_fingerprint, "versions": versions()}
+    storage.write_part(level, "schedule", arrays, facts=manifest, **stamp)
     storage.write_manifest(level, "schedule", manifest)
 
 

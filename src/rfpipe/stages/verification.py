@@ -173,9 +173,9 @@ def schedule_pictures(folder: FolderStorage, pictures: int) -> None:
     folder.folder(VERIFICATION).mkdir(exist_ok=True)
     references = folder.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"]
     schedule = verification_schedule(read_schedule(folder, 0).shape, pictures)
-    made_from = fingerprint([references, schedule.digest()])
-    if not folder.current_manifest(VERIFICATION, "schedule", made_from):
-        write_schedule(folder, VERIFICATION, made_from, schedule)
+    inputs_fingerprint = fingerprint([references, schedule.digest()])
+    if not folder.current_manifest(VERIFICATION, "schedule", inputs_fingerprint):
+        write_schedule(folder, VERIFICATION, inputs_fingerprint, schedule)
 
 
 def verification_schedule(projector_shape: tuple[int, ...], pictures: int) -> Schedule:
@@ -314,8 +314,8 @@ def _verify_and_write(folder: FolderStorage, code: str, asymmetry: float) -> Non
     if facts["verdict"] == "missed":
         _log.warning("%s: the target is MISSED: %s", folder.path, facts["reason"])
     arrays = {"patterns": result.patterns, "captured": result.captured, "relit": result.relit}
-    made_from = fingerprint([acquired["digest"], merged["digest"], code])
-    write_result(folder.path / VERIFICATION_MANIFEST, made_from, arrays, facts)
+    inputs_fingerprint = fingerprint([acquired["digest"], merged["digest"], code])
+    write_result(folder.path / VERIFICATION_MANIFEST, inputs_fingerprint, arrays, facts)
 
 
 def _log_result(folder: FolderStorage, result: Verification) -> None:

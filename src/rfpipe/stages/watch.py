@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from rfpipe.array_types import Double
 from rfpipe.errors import CaptureError, IntegrityError, StoreError
-from rfpipe.photometry.sensor import Merged
+from rfpipe.photometry.sensor import MergedImages
 from rfpipe.references.check_pictures import (
     check_pattern,
     check_picture_count,
@@ -187,7 +187,7 @@ class Watcher:
     def _examine(
         self,
         references: ReferenceImages,
-        first: Merged,
+        first: MergedImages,
         place: str,
         index: int,
         bracket: NDArray[Any],

@@ -387,7 +387,7 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
     made = checked.facts.get(transport)
     if made is None:
         return
-    for number, digest in made.get("made_of", {}).get("refine", ()):
+    for number, digest in made.get("inputs", {}).get("refine", ()):
         level = folder / f"L{number:02d}"
         for manifest in (level / f"{stage}.json" for stage in STAGES):
             if not manifest.exists():

@@ -1,7 +1,8 @@
 """Storage of an acquisition in files.
 
-Each stage of a level has a store and, written last, a manifest, a small JSON file that says that
-the stage is complete. A store knows the fingerprint of its inputs and settings.
+Each stage of a level has a store and, written last, a manifest: a small JSON file that shows that
+the stage is complete. Each store contains the fingerprint of its inputs and settings.
+`rfpipe.storage.base` defines these words.
 """
 
 from __future__ import annotations
@@ -35,7 +36,10 @@ from rfpipe.storage.base import (
     SUMS,
     SYMMETRY,
     Arrays,
+    Attributes,
+    Entry,
     Facts,
+    Manifest,
     StoredPictures,
     WhenChanged,
     folder_name,
@@ -82,7 +86,7 @@ _FINGERPRINT_DIGITS = 12  # in the name of a store that is set aside
 _log = logging.getLogger(__name__)
 
 
-def current_manifest(manifest: Path, fingerprint: str) -> Facts | None:
+def current_manifest(manifest: Path, fingerprint: str) -> Manifest | None:
     """Return a manifest if its store has a fingerprint, else None.
 
     A manifest of another fingerprint, or a damaged one, is removed, since its store is about to
@@ -113,9 +117,9 @@ def write_result(
 ) -> None:
     """Write arrays and, beside them, a manifest of `facts`; `attributes` are for the store."""
     store = manifest.with_suffix(".zarr")
-    made = {"fingerprint": fingerprint, "versions": versions()}
-    write_arrays(store, arrays, {"facts": facts, **made, **attributes})
-    write_manifest(manifest, {**facts, **open_arrays(store).entry(), **made})
+    stamp = {"fingerprint": fingerprint, "versions": versions()}
+    write_arrays(store, arrays, {"facts": facts, **stamp, **attributes})
+    write_manifest(manifest, {**facts, **open_arrays(store).entry(), **stamp})
 
 
 def write_files(manifest: Path, files: Iterable[Path]) -> None:
@@ -147,11 +151,11 @@ class FolderStorage:
         """Test whether a stage of a level is complete."""
         return self.manifest(level, stage).exists()
 
-    def read_manifest(self, level: int, stage: str) -> Facts:
+    def read_manifest(self, level: int, stage: str) -> Manifest:
         """Read the manifest of a stage of a level; see `rfpipe.store.read_manifest`."""
         return read_manifest(self.manifest(level, stage))
 
-    def current_manifest(self, level: int, stage: str, fingerprint: str) -> Facts | None:
+    def current_manifest(self, level: int, stage: str, fingerprint: str) -> Manifest | None:
         """Return the manifest of a stage if its store has a fingerprint, else None."""
         return current_manifest(self.manifest(level, stage), fingerprint)
 
@@ -168,20 +172,20 @@ class FolderStorage:
         self.manifest(level, stage).parent.mkdir(parents=True, exist_ok=True)
         write_result(self.manifest(level, stage), fingerprint, arrays, facts, **attributes)
 
-    def write_part(self, level: int, part: str, arrays: Arrays, **attributes: Any) -> Facts:
+    def write_part(self, level: int, part: str, arrays: Arrays, **attributes: Any) -> Entry:
         """Write arrays without a manifest; return the store's entry for one."""
         store = self.store(level, part)
         write_arrays(store, arrays, attributes)
         return open_arrays(store).entry()
 
-    def write_manifest(self, level: int, stage: str, facts: Facts) -> None:
+    def write_manifest(self, level: int, stage: str, manifest: Manifest) -> None:
         """Write a manifest alone."""
-        write_manifest(self.manifest(level, stage), facts)
+        write_manifest(self.manifest(level, stage), manifest)
 
-    def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
+    def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Attributes]:
         """Read a stage's arrays and attributes, checked against its manifest.
 
-        A `part` is a second store, which the stage's manifest describes by this key.
+        A `part` is a further store, which the stage's manifest describes under this key.
 
         Raises
         ------
@@ -193,7 +197,7 @@ class FolderStorage:
         arrays, attributes = self.open(level, stage, part)
         return dict(arrays), attributes
 
-    def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
+    def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Attributes]:
         """Return the same as `read`, with arrays that are read and checked when first used."""
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
@@ -213,16 +217,16 @@ class FolderStorage:
 
     @contextmanager
     def pictures(self, level: int, stage: str, part: str | None = None) -> Iterator[StoredPictures]:
-        """Open the complete frames of a stage or a part; checks and errors as in `read`."""
+        """Open the complete pictures of a stage or a part; checks and errors as in `read`."""
         manifest = self.manifest(level, stage)
         expected = read_manifest(manifest)
         path = self.store(level, part or stage)
-        with raising_damage_of(manifest), PictureStore.open(path.absolute()) as frames:
-            _check_digest(path, frames.digest(), expected[part] if part else expected)
-            yield frames
+        with raising_damage_of(manifest), PictureStore.open(path.absolute()) as pictures:
+            _check_digest(path, pictures.digest(), expected[part] if part else expected)
+            yield pictures
 
     def partial_brackets(self, level: int, part: str) -> AbstractContextManager[PictureStore]:
-        """Open frames that may be incomplete; StoreError if there are none."""
+        """Open brackets that may be incomplete; StoreError if there are none."""
         path = self.store(level, part).absolute()
         if path.exists():
             restore_header(path)
@@ -231,27 +235,33 @@ class FolderStorage:
     def missing_brackets(
         self, level: int, part: str, count: int, longest: int
     ) -> list[tuple[int, int]]:
-        """List the runs of the `count` frames that aren't captured, of at most `longest`."""
+        """List the runs of the `count` brackets that aren't captured, of at most `longest`."""
         path = self.store(level, part)
         if not path.exists():
             return [(first, min(first + longest, count)) for first in range(0, count, longest)]
-        with PictureStore.open(path) as frames:
-            return list(frames.missing(longest))
+        with PictureStore.open(path) as brackets:
+            return list(brackets.missing(longest))
 
     def make_room(
-        self, level: int, part: str, fingerprint: str, settings: Facts, when_changed: WhenChanged
+        self,
+        level: int,
+        part: str,
+        fingerprint: str,
+        attributes: Attributes,
+        when_changed: WhenChanged,
     ) -> None:
-        """Set aside frames of other settings, before frames of these settings are captured.
+        """Set aside brackets of other settings, before brackets of these settings are captured.
 
         A store of another fingerprint is renamed, with its fingerprint in its new name. A store
         that was set aside and has this fingerprint takes its place, so that no rig is needed. A
-        store whose frames were dropped after their merge is removed. A damaged header is restored
+        store whose brackets were dropped after their merge is removed. A damaged header is restored
         from its copy.
 
         Raises
         ------
         StaleStoreError
-            When there are frames of other settings, none of these, and `when_changed` is "refuse".
+            When there are brackets of other settings, none of these, and `when_changed` is
+            "refuse".
         LockedError
             When another process writes the store.
         IntegrityError
@@ -262,8 +272,11 @@ class FolderStorage:
             _log.warning("%s: its header was damaged or missing; restored", path)
         set_aside = _name_aside(path, fingerprint)
         with StoreLock(path):
-            if path.exists() and _is_set_aside(path, fingerprint, settings, when_changed):
-                return
+            if path.exists():
+                with PictureStore.open(path) as old:
+                    if old.fingerprint == fingerprint:
+                        return
+                    _set_aside(path, old, fingerprint, attributes, when_changed)
             if set_aside.exists():
                 set_aside.rename(path)
                 text = "%s: captured with these settings before; taken from %s"
@@ -276,13 +289,13 @@ class FolderStorage:
         shape: tuple[int, ...],
         dtype: DTypeLike,
         fingerprint: str,
-        settings: Facts,
+        attributes: Attributes,
     ) -> AbstractContextManager[PictureStore]:
         """Open a store of brackets for writing; made if there is none."""
         path = self.store(level, part)
-        frames = PictureStore.create(path, shape, dtype, fingerprint, settings)
+        brackets = PictureStore.create(path, shape, dtype, fingerprint, attributes)
         keep_header(path)
-        return frames
+        return brackets
 
     @contextmanager
     def record_images(
@@ -305,7 +318,7 @@ class FolderStorage:
         """Folder of a level."""
         return self.path / folder_name(level)
 
-    def images_without_raw(self, level: int, inputs: Facts, fingerprint: str) -> Facts | None:
+    def images_without_raw(self, level: int, inputs: Facts, fingerprint: str) -> Manifest | None:
         """Return the manifest of merged images whose brackets were dropped; None with brackets.
 
         Raises StaleStoreError where the images are damaged or of other settings.
@@ -317,7 +330,7 @@ class FolderStorage:
             f"To capture all levels again: '{self.retake_command()}', with the run's other options"
         )
         facts, fault = self._merged_facts(level)
-        if not fault and facts["made_of"] != inputs:
+        if not fault and facts["inputs"] != inputs:
             fault = (
                 f"the inputs of their merge changed ({differing(facts['made_of'], inputs)}). Set "
                 "that back and run again: all merged images are still there, and manifests that "
@@ -325,12 +338,12 @@ class FolderStorage:
             )
         if fault:
             raise StaleStoreError(
-                f"{raw}: the raw exposures were dropped after their merge (capture.keep_raw is "
+                f"{raw}: the brackets were dropped after their merge (capture.keep_raw is "
                 f"false), and {fault}. {advice}"
             )
         if facts["fingerprint"] != fingerprint:
             _log.warning(
-                "%s: merged by an earlier version of the code and kept, since the raw exposures "
+                "%s: merged by an earlier version of the code and kept, since the brackets "
                 "were dropped. %s", raw, advice,
             )  # fmt: skip
         return facts
@@ -360,7 +373,7 @@ class FolderStorage:
         stores = [self.store(level, part) for part in raw]
         freed = sum(drop(store) for store in stores if store.exists())
         if freed:
-            _log.info("%s: raw exposures dropped, %.3g MB", level_name(level), freed / 1e6)
+            _log.info("%s: brackets dropped, %.3g MB", level_name(level), freed / 1e6)
 
     def describe_rig(self, rig: Rig) -> Facts:
         """Describe a rig, for manifests and fingerprints."""
@@ -433,31 +446,37 @@ class FolderStorage:
             yield level
 
 
-def _is_set_aside(path: Path, fingerprint: str, settings: Facts, when_changed: WhenChanged) -> bool:
-    """Rename a store of another fingerprint; return whether it has this fingerprint and stays."""
-    with PictureStore.open(path) as old:
-        if old.fingerprint == fingerprint:
-            return True
-        captured = int(old.done.sum())
+def _set_aside(
+    path: Path,
+    old: PictureStore,
+    fingerprint: str,
+    attributes: Attributes,
+    when_changed: WhenChanged,
+) -> None:
+    """Rename a store of another fingerprint; remove it if it has no brackets.
+
+    `fingerprint` and `attributes` are those of the brackets to be captured.
+    """
+    captured = int(old.done.sum())
     place = _name_aside(path, old.fingerprint)
     if captured and not _name_aside(path, fingerprint).exists():
-        _refuse_or_warn(path, old, place, settings, when_changed)
+        _refuse_or_warn(path, old, place, attributes, when_changed)
     PictureStore.discard(place)  # of a change that was undone before it was captured
     path.rename(place)
     if old.dropped or not captured:
         PictureStore.discard(place)
-    return False
 
 
 def _name_aside(path: Path, fingerprint: str) -> Path:
+    """Return the path of a store of this fingerprint that is set aside."""
     return path.with_name(f"{path.stem}.{fingerprint[:_FINGERPRINT_DIGITS]}{path.suffix}")
 
 
 def _refuse_or_warn(
-    path: Path, old: PictureStore, place: Path, settings: Facts, when_changed: WhenChanged
+    path: Path, old: PictureStore, place: Path, attributes: Attributes, when_changed: WhenChanged
 ) -> None:
     """Refuse to capture patterns again whose settings changed, or warn of it."""
-    changed, captured = differing(old.attributes, settings), int(old.done.sum())
+    changed, captured = differing(old.attributes, attributes), int(old.done.sum())
     fate = (
         "were dropped after their merge (capture.keep_raw)"
         if old.dropped
@@ -467,7 +486,7 @@ def _refuse_or_warn(
         raise StaleStoreError(
             f"{path}: holds {captured} captured patterns of other settings ({changed})",
             remedy="restore those settings, or set capture.when_patterns_change to recapture to "
-            f"take these patterns anew (the old ones {fate})",
+            f"take these patterns again (the old ones {fate})",
         )
     _log.warning(
         "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns captured with "
@@ -518,7 +537,7 @@ def with_followers(manifest: Path) -> list[Path]:
     return [manifest.with_name(f"{stage}.json") for stage in followers]
 
 
-def _check_digest(path: Path | Place, digest: str, expected: Facts) -> None:
+def _check_digest(path: Path | Place, digest: str, expected: Entry) -> None:
     if digest != expected["digest"]:
         raise IntegrityError(
             f"digest is {digest}; its manifest states {expected['digest']}",

@@ -16,7 +16,16 @@ from numpy.typing import DTypeLike, NDArray
 from rfpipe.errors import StoreError
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated
-from rfpipe.storage.base import Arrays, Facts, WhenChanged, level_name, rig_settings
+from rfpipe.storage.base import (
+    Arrays,
+    Attributes,
+    Entry,
+    Facts,
+    Manifest,
+    WhenChanged,
+    level_name,
+    rig_settings,
+)
 from rfpipe.units import RADIANCE
 
 # ruff: noqa: D102, ARG002 - methods and arguments as in Storage and StoredPictures
@@ -25,7 +34,7 @@ from rfpipe.units import RADIANCE
 class MemoryStorage:
     """Storage of an acquisition that ends with its process; see `rfpipe.storage.base.Storage`.
 
-    Raw frames are dropped once they are merged. States aren't stored: the loop passes them on.
+    Brackets are dropped once they are merged. States aren't stored: the loop passes them on.
 
     Attributes
     ----------
@@ -35,17 +44,17 @@ class MemoryStorage:
 
     def __init__(self) -> None:
         self.seconds: dict[str, float] = defaultdict(float)
-        self._arrays: dict[tuple[int, str], tuple[Arrays, Facts]] = {}
-        self._manifests: dict[tuple[int, str], Facts] = {}
-        self._frames: dict[tuple[int, str], MemoryPictures] = {}
+        self._arrays: dict[tuple[int, str], tuple[Arrays, Attributes]] = {}
+        self._manifests: dict[tuple[int, str], Manifest] = {}
+        self._pictures: dict[tuple[int, str], MemoryPictures] = {}
 
     def exists(self, level: int, stage: str) -> bool:
         return (level, stage) in self._manifests
 
-    def read_manifest(self, level: int, stage: str) -> Facts:
+    def read_manifest(self, level: int, stage: str) -> Manifest:
         return self._manifests[level, stage]
 
-    def current_manifest(self, level: int, stage: str, fingerprint: str) -> Facts | None:
+    def current_manifest(self, level: int, stage: str, fingerprint: str) -> Manifest | None:
         return None
 
     def write(
@@ -61,28 +70,28 @@ class MemoryStorage:
             self._arrays[level, stage] = arrays, {"facts": facts, **attributes}
         self._manifests[level, stage] = {**facts, "digest": ""}
 
-    def write_part(self, level: int, part: str, arrays: Arrays, **attributes: Any) -> Facts:
+    def write_part(self, level: int, part: str, arrays: Arrays, **attributes: Any) -> Entry:
         self._arrays[level, part] = arrays, attributes
         return {"digest": ""}
 
-    def write_manifest(self, level: int, stage: str, facts: Facts) -> None:
-        self._manifests[level, stage] = facts
+    def write_manifest(self, level: int, stage: str, manifest: Manifest) -> None:
+        self._manifests[level, stage] = manifest
 
-    def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
+    def read(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Attributes]:
         return self._arrays[level, part or stage]
 
-    def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Facts]:
+    def open(self, level: int, stage: str, part: str | None = None) -> tuple[Arrays, Attributes]:
         return self.read(level, stage, part)
 
     def pictures(
         self, level: int, stage: str, part: str | None = None
     ) -> AbstractContextManager[MemoryPictures]:
-        return nullcontext(self._frames[level, part or stage])
+        return nullcontext(self._pictures[level, part or stage])
 
     def partial_brackets(self, level: int, part: str) -> AbstractContextManager[MemoryPictures]:
-        if (level, part) not in self._frames:
-            raise StoreError(f"{level_name(level)}: no frames of {part} were captured")
-        return nullcontext(self._frames[level, part])
+        if (level, part) not in self._pictures:
+            raise StoreError(f"{level_name(level)}: no brackets of {part} were captured")
+        return nullcontext(self._pictures[level, part])
 
     def missing_brackets(
         self, level: int, part: str, count: int, longest: int
@@ -90,7 +99,12 @@ class MemoryStorage:
         return _runs(count, longest)
 
     def make_room(
-        self, level: int, part: str, fingerprint: str, settings: Facts, when_changed: WhenChanged
+        self,
+        level: int,
+        part: str,
+        fingerprint: str,
+        attributes: Attributes,
+        when_changed: WhenChanged,
     ) -> None:
         """Do nothing: an acquisition in memory captures each pattern once."""
 
@@ -101,27 +115,27 @@ class MemoryStorage:
         shape: tuple[int, ...],
         dtype: DTypeLike,
         fingerprint: str,
-        settings: Facts,
+        attributes: Attributes,
     ) -> AbstractContextManager[MemoryPictures]:
-        self._frames[level, part] = MemoryPictures(shape, dtype)
-        return nullcontext(self._frames[level, part])
+        self._pictures[level, part] = MemoryPictures(shape, dtype)
+        return nullcontext(self._pictures[level, part])
 
     @contextmanager
     def record_images(
         self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]
     ) -> Iterator[tuple[MemoryPictures, MemoryPictures]]:
-        images = self._frames[level, "merge"] = MemoryPictures(shape, RADIANCE)
+        images = self._pictures[level, "merge"] = MemoryPictures(shape, RADIANCE)
         yield images, images
-        del self._frames[level, "capture"]
+        del self._pictures[level, "capture"]
 
     def folder(self, level: int) -> Path:
         return Path()
 
-    def images_without_raw(self, level: int, inputs: Facts, fingerprint: str) -> Facts | None:
+    def images_without_raw(self, level: int, inputs: Facts, fingerprint: str) -> Manifest | None:
         return None
 
     def drop_raw(self, level: int) -> None:
-        """Do nothing: raw frames are dropped as soon as they are merged."""
+        """Do nothing: brackets are dropped as soon as they are merged."""
 
     def describe_rig(self, rig: Rig) -> Facts:
         """Describe a rig; not a simulated one, whose fingerprint takes as long as a level."""
@@ -154,7 +168,7 @@ class MemoryPictures:
     """Pictures in memory, as `rfpipe.storage.base.StoredPictures` and `rfpipe.store.ItemWriter`."""
 
     def __init__(self, shape: tuple[int, ...], dtype: DTypeLike) -> None:
-        self.attributes: Facts = {}
+        self.attributes: Attributes = {}
         self.shape, self.dtype = shape, np.dtype(dtype)
         self.done = np.zeros(shape[0], np.bool_)
         self._items = np.empty(shape, dtype)
@@ -180,12 +194,12 @@ class MemoryPictures:
         yield add
 
     def enter(self, start: int, digests: list[str]) -> None:
-        """Do nothing: frames in memory have no journal."""
+        """Do nothing: pictures in memory have no journal."""
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
         return self._items[start:stop]
 
-    def entry(self) -> Facts:
+    def entry(self) -> Entry:
         return {"digest": "", "dtype": self.dtype.str, "shape": list(self.shape)}
 
 

@@ -114,7 +114,7 @@ def _repair_of_level(manifest: Path) -> Repair:
     elif manifest.stem == "merge" and (folder / "capture.zarr" / "dropped.json").exists():
         removed = tuple(sorted(folder.parent.glob("L*")))
         cost = (
-            "the raw exposures were dropped after their merge (capture.keep_raw): ALL patterns are "
+            "the brackets were dropped after their merge (capture.keep_raw): ALL patterns are "
             "captured again. A copy of the folder, if there is one, is better"
         )
     return Repair("run", (*removed, folder.with_name("transport.json")), cost)

@@ -27,7 +27,7 @@ _CAPTURED = ("capture", REFERENCE_BRACKETS, SYMMETRY, SENSOR, CHECK_PICTURES)
 """Stores of a level's capture."""
 
 _MERGED = ("merge", SUMS, REFERENCE_IMAGES)
-"""Stores of a level's merge, set aside instead if the raw exposures were dropped."""
+"""Stores of a level's merge, set aside with them if the brackets were dropped."""
 
 _MAX_SUGGESTIONS = 4
 """Number of similar names in a message."""
