@@ -28,7 +28,7 @@ from benchmarks.methods.cases import (
 from benchmarks.methods.scenes import shape_of
 from rfpipe.store.files import write_atomically
 
-OPEN, HELD_OUT = "open", "held out"
+TUNING, TEST = "tuning", "test"
 _ENOUGH = 0.01  # mean error, for the table of patterns that reach it
 _MISSED = 1.2  # true error over target, more than which misses it
 _NEAR = 1.5  # an estimate is this many times the truth at most, and its inverse at least
@@ -88,7 +88,7 @@ Memory is the peak while it acquired, the simulated camera's included, above wha
 _PLOTS = """## Plots
 
 Mean errors against patterns in full light, dotted the noise of a single photograph; estimates
-against truth, filled where scene and seed are open.
+against truth, filled where scene and seed are for tuning.
 """
 
 
@@ -106,7 +106,7 @@ def write_page(folder: Path, table: Path, planned: Sequence[Case]) -> None:
     """
     rows = newest(table)
     held_out = rows["held_out_scene"].astype(bool) | rows["held_out_seed"].astype(bool)
-    rows["section"] = held_out.map({False: OPEN, True: HELD_OUT})
+    rows["section"] = held_out.map({False: TUNING, True: TEST})
     done = rows[rows["status"] == "done"]
     side = rows["side"].value_counts().index[0]
     shown, regret = rows[rows["side"] == side], regrets(done[done["side"] == side])
@@ -179,7 +179,7 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
 
 def _of_scenes(rows: pd.DataFrame) -> pd.Series[str]:
     """Return for each row the section that its scene is in, whatever its seed."""
-    return rows["scene"].map(lambda name: HELD_OUT if is_held_out(name) else OPEN)
+    return rows["scene"].map(lambda name: TEST if is_held_out(name) else TUNING)
 
 
 def _run(rows: pd.DataFrame, table: Path, planned: Sequence[Case]) -> str:
@@ -398,7 +398,7 @@ def _curves(done: pd.DataFrame) -> bytes:
 
 
 def _against_truth(done: pd.DataFrame) -> bytes:
-    """Draw estimated errors against true ones: filled where scene and seed are open.
+    """Draw estimated errors against true ones: filled where scene and seed are for tuning.
 
     A row of panels for each error that methods estimate.
     """
@@ -411,7 +411,7 @@ def _against_truth(done: pd.DataFrame) -> bytes:
         for axis, method in zip(across, methods, strict=False):
             for section, section_rows in done[done["method"] == method].groupby("section"):
                 look = {**_style(method), "linestyle": "none", "label": str(section)}
-                face = look["color"] if section == OPEN else "white"
+                face = look["color"] if section == TUNING else "white"
                 axis.plot(
                     100 * section_rows[true],
                     100 * section_rows[estimated],

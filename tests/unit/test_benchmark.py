@@ -96,7 +96,7 @@ def test_the_page_states_which_acquisitions_were_run(run):
     of_scene = [line for line in page.splitlines() if line.startswith("| tilted_wedge* | ")]
     assert "64" in of_scene[-1]
     assert len(of_scene) == 3  # regrets and the lowest number of patterns
-    assert "| `auto` | full | held out | 1 |" in page
+    assert "| `auto` | full | test | 1 |" in page
     for name in ("errors.png", "estimates.png"):
         assert f"]({run.name}/{name})" in page
         assert (run / name).stat().st_size > 10_000
@@ -132,7 +132,7 @@ def acquisition(method, value, patterns, error, indirect=math.nan, **values):
     option = method_of(method).trades or ""
     return dict.fromkeys(COLUMNS, math.nan) | {
         "scene": "room", "side": "48", "channels": 1, "samples": 16, "light": "full", "seed": 1,
-        "section": "open", "method": method, "option": option, "value": value, "patterns": patterns,
+        "section": "tuning", "method": method, "option": option, "value": value, "patterns": patterns,
         "projector_rays": 2304, "error_mean": error, "indirect_mean": indirect, **values,
     }  # fmt: skip
 
@@ -159,15 +159,15 @@ def test_small_scenes_compare_estimates_with_the_truth():
     rows = [
         acquisition("auto", 0.02, 20, 0.02, estimated_error=0.01, side="16x18"),
         acquisition("auto", 0.01, 20, 0.02, estimated_error=0.04, side="16x18", seed=0),
-        acquisition("auto", 0.01, 20, 0.01, estimated_error=0.03, side="40x45", section="held out"),
+        acquisition("auto", 0.01, 20, 0.01, estimated_error=0.03, side="40x45", section="test"),
         acquisition("auto", 0.01, 20, 0.01, estimated_error=0.03, side="40x45", light="sixteenth"),
         acquisition("dual", 0.01, 20, 0.01, estimated_error=0.03, side="8"),
     ]
     table = small_scenes(pd.DataFrame(rows)).splitlines()
     assert [cell.strip() for cell in table[0].split("|")[1:-1]] == ["scene", "16x18", "40x45"]
     assert table[2].endswith("| 1.00 | 3.00 |")
-    assert table[3] == "| **mean, open** | 1.00, 69%; 50% of 2 met |  |"
-    assert table[4] == "| **mean, held out** |  | 3.00, 0%; 100% of 1 met |"
+    assert table[3] == "| **mean, tuning** | 1.00, 69%; 50% of 2 met |  |"
+    assert table[4] == "| **mean, test** |  | 3.00, 0%; 100% of 1 met |"
     assert small_scenes(pd.DataFrame(rows[-1:])) == ""
 
 
