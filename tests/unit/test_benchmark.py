@@ -132,8 +132,9 @@ def acquisition(method, value, patterns, error, indirect=math.nan, **values):
     option = method_of(method).trades or ""
     return dict.fromkeys(COLUMNS, math.nan) | {
         "scene": "room", "side": "48", "channels": 1, "samples": 16, "light": "full", "seed": 1,
-        "section": "tuning", "method": method, "option": option, "value": value, "patterns": patterns,
-        "projector_rays": 2304, "error_mean": error, "indirect_mean": indirect, **values,
+        "section": "tuning", "method": method, "option": option, "value": value,
+        "patterns": patterns, "projector_rays": 2304, "error_mean": error,
+        "indirect_mean": indirect, **values,
     }  # fmt: skip
 
 

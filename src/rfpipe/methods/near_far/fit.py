@@ -4,11 +4,12 @@ With ``T = diag(d) + F B S B^T F`` (`rfpipe.methods.near_far.model`), the floodl
 fixes the direct light d, so that the picture c of a pattern p depends on S alone. Divided by F,
 
     y_ip = (c_ip - F_i p_i) / F_i = a_ip                 where pattern p leaves pixel i dark
-                                  = a_ip - a_i1          where it lights pixel i
+                                  = a_ip - a_i,full      where it lights pixel i
 
     a = B S L,    L = B^T F [p_1 ... p_P, 1]
 
-On dark pixels y is the indirect light itself, without the noise of the direct light. The cores S
+``a_i,full`` is the indirect light under full light: the last column of a, for the pattern 1. On
+dark pixels y is the indirect light itself, without the noise of the direct light. The cores S
 minimise
 
     sum_ip w_ip (y_ip - prediction_ip)^2 + sum_k (S_k / sigma_k)^2
@@ -17,18 +18,20 @@ with ``w_ip = F_i^2 / var(c_ip - F_i p_i)``, where the variance includes an erro
 0.2 % of F. The prior deviations sigma first fall with the squared distance of the functions and are
 then learned from the fit. Pixels are summed over patches where all functions are coarse.
 
-=========  ==================  ===============  ====================================================
-symbol     name in the code    shape            meaning and unit
-=========  ==================  ===============  ====================================================
-``p``      `lit`               (P, N)           the patterns of P pictures, bool
-``F``      `factor`            (N,)             floodlit image, radiance
-``w``      `weight`            (P, N)           weight of each pixel of each picture, no unit
-``w y``    `weighted`          (P, N)           weighted data, no unit
-``B``      `Patches.values`    (patches, n)     mean of each function over each patch
-``L``      `light`             (n, P + 1)       light of each pattern on each function, radiance
-``S``      cores               (pairs,)         one number per pair of functions, inverse radiance
-``sigma``  `deviations`        (pairs,)         prior standard deviation of the cores
-=========  ==================  ===============  ====================================================
+=========  ==================  ============  =======================================================
+symbol     name in the code    shape         meaning and unit
+=========  ==================  ============  =======================================================
+``p``      `lit`               (P, N)        the patterns of P pictures, without the floodlit one
+``F``      `factor`            (N,)          floodlit image, radiance
+``w``      `weight`            (P, N)        weight of each pixel of each picture, no unit
+``w y``    `weighted`          (P, N)        weighted data, no unit
+``B``      `Patches.values`    (patches, n)  mean of each of n functions over each patch
+``L``      `light`             (n, P + 1)    light of each pattern on each function, radiance; the
+                                             last column is of full light
+``a``                          (N, P + 1)    indirect light over F, no unit
+``S``      `cores`             (pairs,)      an entry for each pair of functions, inverse radiance
+``sigma``  `deviations`        (pairs,)      prior standard deviation of each core
+=========  ==================  ============  =======================================================
 """
 
 from __future__ import annotations
@@ -39,7 +42,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import Float, FunctionTable
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import Pictures, beyond_noise
 from rfpipe.methods.least_squares import conjugate_gradients
@@ -101,7 +104,7 @@ def _refined_basis(
 ) -> MultiscaleBasis:
     """Add functions scale by scale where the pictures' dark pixels are not explained."""
 
-    def fit(functions: NDArray[np.int32], _: MultiscaleBasis | None) -> MultiscaleBasis | None:
+    def fit(functions: FunctionTable, _: MultiscaleBasis | None) -> MultiscaleBasis | None:
         basis = MultiscaleBasis(shape, functions)
         return basis if len(basis.first) <= _MOST_PAIRS else None
 
@@ -125,10 +128,11 @@ def _unexplained_cells(
     dark = pictures.known & ~probes.lit
     variance = np.where(dark, probes.variance[:, 0], 0)
     noise = variance.sum(axis=0, dtype=np.float64)
-    squares = np.where(dark, errors * errors, 0).sum(axis=0, dtype=np.float64)
-    chance = np.square(variance, dtype=np.float64).sum(axis=0)
+    squared_error = np.where(dark, errors * errors, 0).sum(axis=0, dtype=np.float64)
+    half_variance = np.square(variance, dtype=np.float64).sum(axis=0)
     allowed = (_REFINED_AT * pictures.floodlit[0].astype(np.float64)) ** 2 * dark.sum(axis=0)
-    return beyond_noise(*RayDomain(shape).square_cells(scale), squares, noise, chance, allowed)
+    grid, cell = RayDomain(shape).square_cells(scale)
+    return beyond_noise(grid, cell, squared_error, noise, half_variance, allowed)
 
 
 @dataclass(frozen=True)
@@ -145,7 +149,8 @@ class ChannelData:
         w, and w times the data y.
     indirect : float
         Indirect light under full light, as a fraction of the floodlit image: twice the mean of dark
-        pixels, since patterns light half of the pixels.
+        pixels, since most patterns light half of the pixels. Strips light less, which makes it
+        slightly too small.
     floodlit : float
         Mean of the floodlit image, in radiance.
     """
@@ -159,7 +164,7 @@ class ChannelData:
 
     @property
     def core_scale(self) -> float:
-        """Typical size of a core times its prior area, in inverse radiance."""
+        """Typical size of a core times its prior area in pixels, in inverse radiance."""
         return self.indirect / max(self.floodlit, float(np.finfo(np.float32).tiny))
 
 
@@ -335,8 +340,7 @@ class CoreProblem:
 
 def prior_deviations(basis: MultiscaleBasis, data: ChannelData) -> Float:
     """Compute the deviations of cores that are assumed before any fit, (pairs,)."""
-    tiny = float(np.finfo(np.float32).tiny)
-    deviations = data.indirect / (max(data.floodlit, tiny) * prior_areas(basis))
+    deviations = data.core_scale / prior_areas(basis)
     return deviations.astype(np.float32)
 
 

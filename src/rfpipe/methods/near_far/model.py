@@ -4,7 +4,7 @@
 
 F, the floodlit image, carries the texture of the surfaces on both sides; between them indirect
 light is smooth, the smoother the farther it travels. B are quadratic B-splines of many scales, S
-has one number for each pair of functions within reach of each other (`MultiscaleBasis`). T is
+has one entry, a *core*, for each pair of functions within reach (`MultiscaleBasis`). T is
 symmetric: camera and projector of a coaxial rig share their rays. The floodlit image ``F = T 1``
 fixes the direct light: ``d = F - F B S B^T F 1``.
 
@@ -15,7 +15,7 @@ symbol  name in the code      shape         meaning and unit
 ``d``   `direct`              (C, N)        direct light, radiance
 ``F``   `floodlit`            (C, N)        floodlit image, radiance
 ``B``   `basis`               (N, n)        values of n functions on N rays, no unit
-``S``   `cores`               (C, pairs)    exchange between two functions, inverse radiance
+``S``   `cores`               (C, pairs)    one entry for each pair of functions, inverse radiance
 ======  ====================  ============  ========================================================
 
 The separation of direct from indirect light by patterns that light half of the pixels follows S. K.
@@ -33,7 +33,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import Float, FunctionTable
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import Pictures, relight_white
 from rfpipe.transport.base import Transport
@@ -57,7 +57,7 @@ class SmoothModel:
     """
 
     shape: Sequence[int]
-    functions: NDArray[np.int32]
+    functions: FunctionTable
     cores: Float
 
     @cached_property
@@ -75,23 +75,25 @@ class LightRange:
     distance : ndarray of float32, shape (*shape)
         Root mean square distance in pixels: at least half a pixel, at most the image's diagonal,
         which pixels without indirect light have too.
-    nearness : ndarray of float32, shape (*shape)
-        Indirect light as a share of the floodlit image, 0 to 1, over the distance.
-    down, across : ndarray of float32, shape (*shape)
-        Mean direction to lower rows and later columns, not normalized; 0 without indirect light.
+    indirect_per_pixel : ndarray of float32, shape (*shape)
+        Indirect light as a share of the floodlit image, 0 to 1, over the distance, in 1/pixel: it
+        is large where much light comes from nearby.
+    row_offset, column_offset : ndarray of float32, shape (*shape)
+        Sums of the rows and columns of the light's origins relative to the pixel, weighted by the
+        light, in radiance times pixels; 0 without indirect light.
     """
 
     distance: Float
-    nearness: Float
-    down: Float
-    across: Float
+    indirect_per_pixel: Float
+    row_offset: Float
+    column_offset: Float
 
 
 def light_range(shape: tuple[int, ...], model: SmoothModel, floodlit: Float) -> LightRange:
-    """Compute from where each pixel receives indirect light under full light.
+    """Compute the distance and direction of each pixel's indirect light under full light.
 
-    The model relights the images 1, row, column and row^2 + column^2 of the sender; their ratios
-    are the moments of the senders' positions, weighted by their light.
+    The model relights the images 1, row, column and row^2 + column^2: sums over the pixels that
+    send the light, weighted by it, of their positions and squared positions.
     """
     height, width = RayDomain(shape).image_shape
     row, column = (np.broadcast_to(axis, shape).ravel() for axis in np.ogrid[:height, :width])
@@ -103,19 +105,20 @@ def light_range(shape: tuple[int, ...], model: SmoothModel, floodlit: Float) -> 
         for cores, factor in zip(model.cores, floodlit, strict=True)
     ]
     # float64: sums of large squares cancel
-    light, down, across, squares = np.stack(images, axis=1).sum(axis=1, dtype=np.float64)
-    total = light * square + squares - 2 * (row * down + column * across)
-    diagonal = float(height**2 + width**2)
+    light, rows, columns, position_squares = np.stack(images, axis=1).sum(axis=1, dtype=np.float64)
+    squared_distances = light * square + position_squares - 2 * (row * rows + column * columns)
+    squared_diagonal = float(height**2 + width**2)
     is_lit = light > 0
-    variance = np.divide(total, light, out=np.full(len(row), diagonal), where=is_lit)
-    distance = np.sqrt(np.clip(variance, 0.25, diagonal))
+    squared_distance = np.full(len(row), squared_diagonal)
+    np.divide(squared_distances, light, out=squared_distance, where=is_lit)
+    distance = np.sqrt(np.clip(squared_distance, 0.25, squared_diagonal))
     white = floodlit.sum(axis=0, dtype=np.float64)
     share = np.divide(light, white, out=np.zeros_like(light), where=white > 0)
     fields = (
         distance,
         np.clip(share, 0, 1) / distance,
-        np.where(is_lit, down - row * light, 0),
-        np.where(is_lit, across - column * light, 0),
+        np.where(is_lit, rows - row * light, 0),
+        np.where(is_lit, columns - column * light, 0),
     )
     return LightRange(*(image.astype(np.float32).reshape(shape) for image in fields))
 

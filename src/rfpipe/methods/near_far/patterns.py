@@ -10,11 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.near_far.model import LightRange
+from rfpipe.methods.residual.patterns import PATTERN_SEED
 from rfpipe.provenance import generator
 from rfpipe.relighting import brightest, octave_noise
-
-SEED = 2006
-"""Seed of the patterns; those of the residual's rounds share it, with other keys."""
 
 
 def probe_patterns(
@@ -23,15 +21,16 @@ def probe_patterns(
     """Draw patterns of octave noise that light half of the rays.
 
     Where the range of indirect light is known, bands of about equal range are lit together, and
-    every fourth pattern is a strip along a crease: random detail determines little of the light of
-    long, thin shapes.
+    every fourth pattern is a strip along a crease, on one side of it, of 1 to 30 % of the rays or
+    less. A crease is a concave edge between two surfaces: pixels near it receive much light from
+    nearby. Random detail determines little of the light of such long, thin shapes.
 
     Parameters
     ----------
     shape : tuple of int
         The ray domain.
     key : int
-        Number of the round: each has other patterns. A pattern depends on `key` and its index.
+        Number of the round over all phases, `Round.key`. A pattern depends on `key` and its index.
     count : int
     light_range : LightRange, optional
 
@@ -41,7 +40,7 @@ def probe_patterns(
     """
     patterns = np.zeros((count, *shape), np.bool_)
     for index in range(count):
-        random = generator(SEED, key, index)
+        random = generator(PATTERN_SEED, key, index)
         field = octave_noise(shape, random)
         if light_range is None:
             patterns[index] = field > np.median(field)
@@ -50,11 +49,13 @@ def probe_patterns(
         octaves = 1 / random.uniform(1 / 10.0, 1 / 2.0)
         phase = random.uniform(0, 1)
         angle = random.uniform(0, 2 * np.pi)
-        side = np.cos(angle) * light_range.across + np.sin(angle) * light_range.down > 0
+        side = (
+            np.cos(angle) * light_range.column_offset + np.sin(angle) * light_range.row_offset > 0
+        )
         bands = np.log2(light_range.distance) / octaves + phase + side / 2
         field += 1.5 * np.cos(2 * np.pi * bands)
         patterns[index] = field > np.median(field)
         if index % 4 == 0:
             area = np.exp(random.uniform(np.log(0.01), np.log(0.3)))
-            patterns[index] = brightest(light_range.nearness, area) & side
+            patterns[index] = brightest(light_range.indirect_per_pixel, area) & side
     return patterns

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from rfpipe.provenance import generator
 from rfpipe.transport.wavelet import Cells
 
-SEED = 2006
-"""Seed of the patterns; those of near/far acquisition share it, with other keys."""
+PATTERN_SEED = 2006
+"""Seed of random blocks, and of the patterns of near/far acquisition: keys differ between both."""
 
 # Share of the blocks that a pattern lights. At 48 x 48, a tenth gave the same errors.
 _LIT = 0.3
@@ -23,7 +23,7 @@ def block_patterns(cells: Cells, key: int, count: int) -> NDArray[np.bool_]:
     cells : Cells
         The cells of the projector.
     key : int
-        Number of the round: each has other patterns. A pattern depends on `key` and its index.
+        Number of the round over all phases, `Round.key`. A pattern depends on `key` and its index.
     count : int
 
     Returns
@@ -33,11 +33,11 @@ def block_patterns(cells: Cells, key: int, count: int) -> NDArray[np.bool_]:
     views, height, width = cells.stack
     patterns = np.zeros((count, *cells.shape), np.bool_)
     for index in range(count):
-        random = generator(SEED, key, index)
+        random = generator(PATTERN_SEED, key, index)
         side = 2 ** (index % 4)
-        down, across = random.integers(0, side, 2)
+        first_row, first_column = random.integers(0, side, 2)
         grid = (views, height // side + 2, width // side + 2)
         blocks = (random.random(grid) < _LIT).repeat(side, axis=1).repeat(side, axis=2)
-        lit = blocks[:, down : down + height, across : across + width]
+        lit = blocks[:, first_row : first_row + height, first_column : first_column + width]
         patterns[index] = lit.reshape(-1)[cells.of_ray].reshape(cells.shape)
     return patterns
