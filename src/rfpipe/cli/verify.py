@@ -10,7 +10,7 @@ import typer
 from rfpipe.text import counted
 
 if TYPE_CHECKING:
-    from rfpipe.storage.checking import Checked
+    from rfpipe.storage.checking import CheckResult
 
 
 def verify(
@@ -68,7 +68,7 @@ def verify(
         raise typer.Exit(1)
 
 
-def _print(folder: Path, checked: Checked, commands: list[str]) -> None:
+def _print(folder: Path, checked: CheckResult, commands: list[str]) -> None:
     from rfpipe.store.places import as_address
 
     name = as_address(folder) or folder

@@ -52,23 +52,27 @@ _NAMED = 8  # files that a finding or a note names
 
 
 @dataclass
-class Checked:
-    """What was checked, and the damage.
+class CheckResult:
+    """Result of a check: damage, remarks and counts.
 
     Attributes
     ----------
+    progress : callable
+        Called with the number of bytes after each read.
+    findings : list of Finding
+        Damage, with the repair.
     notes : list of str
-        Remarks on what is no damage.
+        Remarks that do not concern damage.
     stores, manifests, files, bytes : int
-        Counts of what was checked, and the bytes read, of which `progress` is told.
+        Numbers of checked stores, manifests and files, and of bytes read.
     unnamed : list of Path
-        Files that no manifest names: they are not checked.
-    seen : set of Path
+        Files that no manifest names, which are not checked.
+    checked_paths : set of Path
         Stores, manifests and files that are checked.
     folders : set of Path
         Folders that were visited, without symbolic links.
     facts : dict of Path to dict
-        The content of each whole manifest.
+        Content of each undamaged manifest.
     """
 
     progress: Callable[[int], object] = lambda _: None
@@ -79,11 +83,11 @@ class Checked:
     files: int = 0
     bytes: int = 0
     unnamed: list[Path] = field(default_factory=list)
-    seen: set[Path] = field(default_factory=set)
+    checked_paths: set[Path] = field(default_factory=set)
     folders: set[Path] = field(default_factory=set)
     facts: dict[Path, dict[str, Any]] = field(default_factory=dict)
 
-    def wrong(self, path: Path | Place, what: str, mend: Repair) -> None:
+    def add_finding(self, path: Path | Place, what: str, mend: Repair) -> None:
         """Add a finding."""
         self.findings.append(Finding(path, what, mend))
 
@@ -93,11 +97,13 @@ class Checked:
         self.progress(nbytes)
 
     def removals(self) -> list[Path]:
-        """Return all that has to go before the workflow runs, each once."""
-        return list(dict.fromkeys(path for each in self.findings for path in each.repair.remove))
+        """Paths to remove before the workflow runs, without duplicates."""
+        return list(
+            dict.fromkeys(path for finding in self.findings for path in finding.repair.remove)
+        )
 
 
-def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> Checked:
+def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> CheckResult:
     """Check every store, chunk, manifest and table below a folder.
 
     Parameters
@@ -107,19 +113,21 @@ def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> C
         or a published folder or zip with a list of its files; a zip file of a transport. Or the
         address of either.
     progress : callable, optional
-        Called with the number of bytes that were read, as they are.
+        Called with the number of bytes after each read.
 
     Raises
     ------
     InputError
-        When there is nothing that could be checked; StoreError when a server doesn't answer.
+        When the folder has nothing to check.
+    StoreError
+        When a server doesn't answer.
     """
-    checked = Checked(progress)
+    checked = CheckResult(progress)
     place = folder if folder.is_dir() and as_address(folder) is None else locate(folder)
     if isinstance(place, Place) or (place / CHECKSUMS).is_file():
         _check_published(place, checked)
         return checked
-    inside = [each for each in (folder / "results", folder / "calibration") if each.is_dir()]
+    inside = [path for path in (folder / "results", folder / "calibration") if path.is_dir()]
     for root in inside if (folder / "results").is_dir() else [folder]:
         if root.is_dir():
             _check_below(root, checked)
@@ -132,7 +140,7 @@ def check(folder: Path, progress: Callable[[int], object] = lambda _: None) -> C
     return checked
 
 
-def _check_published(place: Path | Place, checked: Checked) -> None:
+def _check_published(place: Path | Place, checked: CheckResult) -> None:
     """Check files by their list, in one folder of a zip file, too; else transports."""
     if isinstance(place, Place) and not place.key and content_of(place / CHECKSUMS) is None:
         with suppress(StoreError):  # a web server doesn't list its files
@@ -153,10 +161,10 @@ def _check_published(place: Path | Place, checked: Checked) -> None:
             _check_published(locate(store), checked)
             continue
         for what in _check_arrays(store, checked).damage:
-            checked.wrong(store, what, RESTORE)
+            checked.add_finding(store, what, RESTORE)
 
 
-def _check_list(root: Path | Place, checked: Checked) -> None:
+def _check_list(root: Path | Place, checked: CheckResult) -> None:
     """Check each file of a list ``digest  path``, as BagIt (RFC 8493) has it."""
     listed = {}
     for name in (CHECKSUMS, _TAGS):
@@ -168,14 +176,14 @@ def _check_list(root: Path | Place, checked: Checked) -> None:
         try:
             content = (root / name).read_bytes()
         except FileNotFoundError:
-            checked.wrong(root / name, "is missing", RESTORE)
+            checked.add_finding(root / name, "is missing", RESTORE)
         except (StoreError, OSError) as error:
-            checked.wrong(root / name, f"can't be read: {error}", RESTORE)
+            checked.add_finding(root / name, f"can't be read: {error}", RESTORE)
         else:
             checked.read(len(content))
             if hashlib.sha256(content).hexdigest() != digest:
                 text = "is altered: its SHA-256 isn't that of the list"
-                checked.wrong(root / name, text, RESTORE)
+                checked.add_finding(root / name, text, RESTORE)
     if isinstance(root, Place):
         with suppress(StoreError):  # a web server doesn't list its files
             _note_others(root, set(root.files()) - listed.keys(), checked)
@@ -184,20 +192,20 @@ def _check_list(root: Path | Place, checked: Checked) -> None:
         _note_others(root, files - listed.keys(), checked)
 
 
-def _note_others(root: Path | Place, names: set[str], checked: Checked) -> None:
+def _note_others(root: Path | Place, names: set[str], checked: CheckResult) -> None:
     payload = "" if content_of(root / "bagit.txt") is None else "data/"
     for name in sorted(names - {CHECKSUMS, _TAGS}):
         if name.startswith(payload):
             checked.notes.append(f"{root / name}: isn't in the list of files")
 
 
-def _check_below(folder: Path, checked: Checked) -> None:
+def _check_below(folder: Path, checked: CheckResult) -> None:
     """Check a folder and all below it, whatever their names, through symbolic links, too.
 
     Hidden ones are left out: they are temporary, or of other programs. No scene, method or stage
     has such a name.
     """
-    if folder in checked.seen or folder.resolve() in checked.folders:
+    if folder in checked.checked_paths or folder.resolve() in checked.folders:
         return
     checked.folders.add(folder.resolve())
     if folder.suffix == ".zarr":
@@ -215,7 +223,9 @@ def _check_below(folder: Path, checked: Checked) -> None:
         if inner.is_dir():
             _check_below(inner, checked)
         elif not inner.exists():
-            checked.wrong(inner, f"is a link to {inner.readlink()}, which is missing", RESTORE)
+            checked.add_finding(
+                inner, f"is a link to {inner.readlink()}, which is missing", RESTORE
+            )
     checked.unnamed += files
     if is_whole:
         _check_acquisition(folder, checked)
@@ -230,12 +240,14 @@ def _is_manifest(path: Path) -> bool:
     return is_about or is_of_stage or b'"checksum"' in path.read_bytes()
 
 
-def _note_unnamed(checked: Checked) -> None:
+def _note_unnamed(checked: CheckResult) -> None:
     """Note the files that were not checked, since no manifest names them: one line per folder."""
     checked.unnamed = sorted(
         path
         for path in checked.unnamed
-        if path not in checked.seen and not path.name.endswith(BY_PRODUCTS) and path.stat().st_size
+        if path not in checked.checked_paths
+        and not path.name.endswith(BY_PRODUCTS)
+        and path.stat().st_size
     )
     for folder in dict.fromkeys(path.parent for path in checked.unnamed):
         names = [path.name for path in checked.unnamed if path.parent == folder]
@@ -248,14 +260,14 @@ def _note_unnamed(checked: Checked) -> None:
         checked.notes.append(f"{folder}: {count} not checked: {shown}")
 
 
-def _check_manifest(path: Path, checked: Checked) -> None:
-    """Check a manifest by itself, and the stores and files beside it that it is about."""
+def _check_manifest(path: Path, checked: CheckResult) -> None:
+    """Check a manifest, and the stores and files that it names."""
     checked.manifests += 1
-    checked.seen.add(path)
+    checked.checked_paths.add(path)
     try:
         facts = checked.facts[path] = read_manifest(path)
     except StoreError as error:  # its stores are checked alone
-        checked.wrong(path, _damage_of(error, path), repair_of(path))
+        checked.add_finding(path, _damage_of(error, path), repair_of(path))
         return
     for store, digest in _stores_of(path, facts):
         damage, stored, _ = _check_store(store, checked)
@@ -265,7 +277,7 @@ def _check_manifest(path: Path, checked: Checked) -> None:
         if is_patterns and not damage and open_arrays(store).attributes["facts"] != facts:
             damage.append(f"holds other patterns than {path.name} says")
         for what in damage:
-            checked.wrong(store, what, repair_of(path, store))
+            checked.add_finding(store, what, repair_of(path, store))
     for name, digest in facts.get("files", {}).items():
         _check_file(path, path.parent / name, digest, checked)
 
@@ -284,20 +296,20 @@ def _stores_of(path: Path, facts: dict[str, Any]) -> Iterator[tuple[Path, str | 
             yield store, None
 
 
-def _check_file(manifest: Path, file: Path, digest: str, checked: Checked) -> None:
+def _check_file(manifest: Path, file: Path, digest: str, checked: CheckResult) -> None:
     """Check a file that a manifest names with its digest."""
-    checked.seen.add(file)
+    checked.checked_paths.add(file)
     checked.files += 1
     content = content_of(file)
     checked.read(len(content or b""))
     if content is None:
-        checked.wrong(file, "is missing", repair_of(manifest, file))
+        checked.add_finding(file, "is missing", repair_of(manifest, file))
     elif digest_of(content) != digest:
         what = f"is altered: its digest isn't that of {manifest.name}"
-        checked.wrong(file, what, repair_of(manifest, file))
+        checked.add_finding(file, what, repair_of(manifest, file))
 
 
-def _check_alone(path: Path, checked: Checked) -> None:
+def _check_alone(path: Path, checked: CheckResult) -> None:
     """Check a store that no whole manifest names: one kept aside, a recording, a user's own."""
     manifest = path.with_name(f"{_OWNERS.get(path.stem, path.stem)}.json")
     is_recording = part_of(path) == "recording"
@@ -306,9 +318,11 @@ def _check_alone(path: Path, checked: Checked) -> None:
         if state.interrupted:
             checked.notes.append(f"{path}: {what}")
         elif is_recording:
-            checked.wrong(path, what, repair_of(path))
+            checked.add_finding(path, what, repair_of(path))
         else:
-            checked.wrong(path, what, repair_of(manifest, path) if manifest.exists() else RESTORE)
+            checked.add_finding(
+                path, what, repair_of(manifest, path) if manifest.exists() else RESTORE
+            )
 
 
 class _StoreState(NamedTuple):
@@ -322,16 +336,16 @@ class _StoreState(NamedTuple):
     interrupted: bool = False
 
 
-def _check_store(path: Path, checked: Checked) -> _StoreState:
+def _check_store(path: Path, checked: CheckResult) -> _StoreState:
     """Check a store of frames or of arrays."""
-    checked.seen.add(path)
+    checked.checked_paths.add(path)
     header = content_of(path / METADATA) or b""
     if (path / "journal.jsonl").exists() or re.search(rb'"kind":\s*"frames"', header):
         return _check_frames(path, checked)
     return _check_arrays(path, checked)
 
 
-def _check_arrays(path: Path | Place, checked: Checked) -> _StoreState:
+def _check_arrays(path: Path | Place, checked: CheckResult) -> _StoreState:
     checked.stores += 1
     damage: list[str] = []
     try:
@@ -340,8 +354,8 @@ def _check_arrays(path: Path | Place, checked: Checked) -> _StoreState:
         return _StoreState([_damage_of(error, path)], None)
     if isinstance(path, Path):
         named = {path / name for name in (METADATA, *bundle.names)}
-        entries = [each for each in path.iterdir() if not each.name.startswith(".")]
-        checked.unnamed += [each for each in entries if each not in named]
+        entries = [entry for entry in path.iterdir() if not entry.name.startswith(".")]
+        checked.unnamed += [entry for entry in entries if entry not in named]
     for name in bundle.names:
         try:
             checked.read(bundle.read(name).nbytes)
@@ -350,7 +364,7 @@ def _check_arrays(path: Path | Place, checked: Checked) -> _StoreState:
     return _StoreState(damage, bundle.digest)
 
 
-def _check_frames(path: Path, checked: Checked) -> _StoreState:
+def _check_frames(path: Path, checked: CheckResult) -> _StoreState:
     checked.stores += 1
     if not header_is_whole(path):
         damage = f"its header, {METADATA} or its copy header.json, is damaged or missing"
@@ -379,8 +393,8 @@ def _damage_of(error: StoreError, path: Path | Place) -> str:
     return f"{str(error.place).removeprefix(f'{path}/')}: {error.what}"
 
 
-def _check_acquisition(folder: Path, checked: Checked) -> None:
-    """Check that a transport is made of the levels beside it, and what is made of it is."""
+def _check_acquisition(folder: Path, checked: CheckResult) -> None:
+    """Check that a transport was made of its levels, and its relit pictures of the transport."""
     transport = folder / "transport.json"
     if not transport.exists():
         _check_unfinished(folder, checked)
@@ -391,23 +405,25 @@ def _check_acquisition(folder: Path, checked: Checked) -> None:
         level = folder / f"L{number:02d}"
         for manifest in (level / f"{stage}.json" for stage in STAGES):
             if not manifest.exists():
-                checked.wrong(manifest, "is missing", repair_of(manifest))
+                checked.add_finding(manifest, "is missing", repair_of(manifest))
         refined = checked.facts.get(level / "refine.json")
         if refined and refined["digest"] != digest:
             text = f"was made of another {level.name}/refine.json than stands there"
-            checked.wrong(transport, text, repair_of(transport))
+            checked.add_finding(transport, text, repair_of(transport))
     for path, facts in checked.facts.items():
         if path.parent == folder and facts.get("transport", made["digest"]) != made["digest"]:
-            checked.wrong(path, "is of another transport than stands beside it", repair_of(path))
+            checked.add_finding(
+                path, "is of another transport than stands beside it", repair_of(path)
+            )
 
 
-def _check_unfinished(folder: Path, checked: Checked) -> None:
+def _check_unfinished(folder: Path, checked: CheckResult) -> None:
     """Check that nothing is made of the transport of an acquisition that has none."""
     transport = folder / "transport.json"
     later = [path for path, of in checked.facts.items() if path.parent == folder and
              "transport" in of]  # fmt: skip
     if later:
         names = " and ".join(path.name for path in later)
-        checked.wrong(transport, f"is missing, and {names} is made of it", Repair("run"))
+        checked.add_finding(transport, f"is missing, and {names} is made of it", Repair("run"))
     else:
         checked.notes.append(f"{folder}: not finished; the next run goes on there")
