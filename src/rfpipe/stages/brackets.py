@@ -156,7 +156,7 @@ def take_brackets(rig: Rig, brackets: BracketSet, first: int, last: int) -> NDAr
     """Capture brackets ``first:last``, without storing them; validates what the rig returns."""
     block = capture_batch(rig, *brackets.patterns(first, last))
     (_, *shape), dtype = _layout(rig, brackets)
-    goes_on = "then run again: it goes on there"
+    goes_on = "then run again: the capture continues there"
     if block.shape[1:] != tuple(shape) or block.dtype != dtype:
         raise CaptureError(
             f"{brackets.name}, pattern {first}: the rig returned {block.dtype} frames of shape "

@@ -408,12 +408,12 @@ def _check_acquisition(folder: Path, checked: CheckResult) -> None:
                 checked.add_finding(manifest, "is missing", repair_of(manifest))
         refined = checked.facts.get(level / "refine.json")
         if refined and refined["digest"] != digest:
-            text = f"was made of another {level.name}/refine.json than stands there"
+            text = f"was made of another version of {level.name}/refine.json"
             checked.add_finding(transport, text, repair_of(transport))
     for path, facts in checked.facts.items():
         if path.parent == folder and facts.get("transport", made["digest"]) != made["digest"]:
             checked.add_finding(
-                path, "is of another transport than stands beside it", repair_of(path)
+                path, "was made of another transport than transport.json", repair_of(path)
             )
 
 
@@ -426,4 +426,4 @@ def _check_unfinished(folder: Path, checked: CheckResult) -> None:
         names = " and ".join(path.name for path in later)
         checked.add_finding(transport, f"is missing, and {names} is made of it", Repair("run"))
     else:
-        checked.notes.append(f"{folder}: not finished; the next run goes on there")
+        checked.notes.append(f"{folder}: not finished; the next run continues it")
