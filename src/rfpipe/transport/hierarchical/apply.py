@@ -54,13 +54,13 @@ def apply_leaf_sets(
         return result
     chosen = np.array(list(channels), np.int64)
     groups = -(-min(len(patterns), _PATTERNS_PER_BATCH) // _PATTERNS_PER_GROUP)
-    n_shares = -(-_TASKS // (groups * len(chosen)))
+    n_chunks = -(-_TASKS // (groups * len(chosen)))
     for first in range(0, len(patterns), _PATTERNS_PER_BATCH):
         batch = slice(first, first + _PATTERNS_PER_BATCH)
         light, images = patterns[batch], result[batch]
         if light.strides[1] == 0:
             light = light[:, :1]  # white light, the same for all channels
-        sums = np.zeros((n_shares, *images.shape), np.float32)
+        sums = np.zeros((n_chunks, *images.shape), np.float32)
         _add_products(tree, leaf_sets, light[..., tree.order], chosen, sums)
         np.take(sums.sum(axis=0), tree.inverse, axis=-1, out=images)
     return result
@@ -69,18 +69,18 @@ def apply_leaf_sets(
 def _add_products(
     tree: BlockTree, leaf_sets: Sequence[LeafSet], patterns: Float, channels: Index, sums: Float
 ) -> None:
-    """Add the product of each share of the leaves, (shares, P, K, N), in tree order."""
+    """Add the product of each chunk of the leaves, (chunks, P, K, N), in tree order."""
     from rfpipe.transport.hierarchical import kernels
 
     lit = _lit_blocks(tree, patterns)
     for leaves in filter(len, leaf_sets):
-        shares = kernels.Shares(*_divide(tree, leaves, len(sums)), _PATTERNS_PER_GROUP)
+        work = kernels.WorkSplit(*_divide(tree, leaves, len(sums)), _PATTERNS_PER_GROUP)
         blocks = leaves.block_a, leaves.block_b
         arrays = kernels.Leaves(tree.starts[leaves.level], *blocks, leaves.values, _scales(leaves))
         if leaves.level == tree.n_levels - 1:
-            kernels.apply_scalars(arrays, channels, shares, patterns, sums)
+            kernels.apply_scalars(arrays, channels, work, patterns, sums)
         else:
-            kernels.apply_leaves(arrays, channels, shares, patterns, lit[leaves.level], sums)
+            kernels.apply_leaves(arrays, channels, work, patterns, lit[leaves.level], sums)
 
 
 def _scales(leaves: LeafSet) -> Float:
@@ -98,18 +98,18 @@ def _lit_blocks(tree: BlockTree, patterns: Float) -> list[Bools]:
     return lit[::-1]
 
 
-def _divide(tree: BlockTree, leaves: LeafSet, n_shares: int) -> tuple[Index, Index]:
-    """Divide leaves into shares of about equal work and these into runs; see `kernels.Shares`."""
-    key = f"{n_shares} shares"
+def _divide(tree: BlockTree, leaves: LeafSet, n_chunks: int) -> tuple[Index, Index]:
+    """Divide leaves into chunks of equal work and these into runs; see `kernels.WorkSplit`."""
+    key = f"{n_chunks} chunks"
     if key not in leaves.cache:
         offsets = leaf_offsets(tree, leaves)
-        n_runs = max(1, -(-int(offsets[-1]) // (_RUN_VALUES * n_shares)))
-        targets = np.arange(n_shares * n_runs + 1) * (offsets[-1] / (n_shares * n_runs))
+        n_runs = max(1, -(-int(offsets[-1]) // (_RUN_VALUES * n_chunks)))
+        targets = np.arange(n_chunks * n_runs + 1) * (offsets[-1] / (n_chunks * n_runs))
         ends = np.searchsorted(offsets, targets)
-        bounds = ends[np.arange(n_shares)[:, None] * n_runs + np.arange(n_runs + 1)]
+        bounds = ends[np.arange(n_chunks)[:, None] * n_runs + np.arange(n_runs + 1)]
         leaves.cache[key] = bounds, offsets[bounds]
-    shares: tuple[Index, Index] = leaves.cache[key]
-    return shares
+    split: tuple[Index, Index] = leaves.cache[key]
+    return split
 
 
 def predict(
@@ -144,24 +144,24 @@ def predict(
     from rfpipe.transport.hierarchical import kernels
 
     images = np.zeros((last - first, channels, tree.domain.size), np.float32)
-    pattern_of_part = pattern_of_block - np.int32(first)
-    lit_parts = np.flatnonzero((pattern_of_part >= 0) & (pattern_of_part < last - first))
-    part_starts = tree.starts[level]
+    pattern_of_cell = pattern_of_block - np.int32(first)
+    lit_cells = np.flatnonzero((pattern_of_cell >= 0) & (pattern_of_cell < last - first))
+    cell_starts = tree.starts[level]
     for leaves in filter(len, leaf_sets):
         blocks = leaves.block_a, leaves.block_b
         if leaves.level == tree.n_levels - 1:
-            pattern_of_ray = np.repeat(pattern_of_part, np.diff(part_starts))
+            pattern_of_ray = np.repeat(pattern_of_cell, np.diff(cell_starts))
             kernels.scalars_to_partition(*blocks, leaves.values, pattern_of_ray, images)
             continue
         starts = tree.starts[leaves.level]
-        first_lit = np.searchsorted(lit_parts, _overlaps(starts, part_starts))
+        first_lit = np.searchsorted(lit_cells, _overlaps(starts, cell_starts))
         offset_a, offset_b, _ = factor_offsets(starts, *blocks)
         kernels.apply_to_partition(
             kernels.LeafSides(
                 starts, *blocks, offset_a, offset_b, leaves.values, *_sides(leaves, tree)
             ),
             _tiles(starts),
-            kernels.Partition(part_starts, pattern_of_part, lit_parts, first_lit),
+            kernels.Partition(cell_starts, pattern_of_cell, lit_cells, first_lit),
             images,
         )
     return images
@@ -175,10 +175,10 @@ def _tiles(starts: Index) -> Index:
     return np.stack([block, ray, np.minimum(ray + _TILE_RAYS, starts[block + 1])], axis=1)
 
 
-def _overlaps(starts: Index, part_starts: Index) -> Index:
-    """Return the first and the end of the parts that overlap each block, ``(n_blocks, 2)``."""
-    first = np.searchsorted(part_starts, starts[:-1], side="right") - 1
-    return np.stack([first, np.searchsorted(part_starts, starts[1:], side="left")], axis=1)
+def _overlaps(starts: Index, cell_starts: Index) -> Index:
+    """Return the first and the end of the cells that overlap each block, ``(n_blocks, 2)``."""
+    first = np.searchsorted(cell_starts, starts[:-1], side="right") - 1
+    return np.stack([first, np.searchsorted(cell_starts, starts[1:], side="left")], axis=1)
 
 
 def _sides(leaves: LeafSet, tree: BlockTree) -> tuple[Index, Index]:

@@ -56,15 +56,16 @@ class Leaves(NamedTuple):
     scales: Float
 
 
-class Shares(NamedTuple):
-    """Division of leaves into shares of about equal work, and of these into runs.
+class WorkSplit(NamedTuple):
+    """Division of leaves into chunks of about equal work, and of these into runs.
 
-    A run stays in the cache while a group of patterns is applied.
+    Each chunk adds to an image of its own, so that chunks can be processed in parallel. A run stays
+    in the cache while a group of patterns is applied.
 
     Attributes
     ----------
-    bounds, offsets : int64 (shares, runs + 1)
-        Leaves ``bounds[s, r]:bounds[s, r + 1]`` are run r of share s; their values begin at
+    bounds, offsets : int64 (chunks, runs + 1)
+        Leaves ``bounds[s, r]:bounds[s, r + 1]`` are run r of chunk s; their values begin at
         ``offsets[s, r]``.
     patterns : int
         Patterns of a group.
@@ -103,16 +104,16 @@ class LeafSides(NamedTuple):
 
 
 class Partition(NamedTuple):
-    """Patterns that light each block of a level, a *part*, at most once.
+    """Patterns that light each block of a level at most once; these blocks are the *cells*.
 
     Attributes
     ----------
-    starts : int64 (n_parts + 1,)
-        First tree position of each part.
-    pattern : int32 (n_parts,)
-        Pattern that lights each part, counted from the first image.
+    starts : int64 (n_cells + 1,)
+        First tree position of each cell.
+    pattern : int32 (n_cells,)
+        Pattern that lights each cell, counted from the first image.
     lit : int64 (m,)
-        The lit parts, ascending.
+        The lit cells, ascending.
     first_lit : int64 (n_blocks, 2)
         First and end of the entries of `lit` that overlap each block of the leaves.
     """
@@ -246,57 +247,57 @@ def _apply_run(leaves, channel, run, lit, source, target):  # type: ignore[no-un
 
 
 @numba.njit(cache=True, parallel=True)
-def apply_leaves(leaves, channels, shares, patterns, lit, out):  # type: ignore[no-untyped-def]
+def apply_leaves(leaves, channels, work, patterns, lit, out):  # type: ignore[no-untyped-def]
     """Add ``T p`` of the rank-1 leaves of one level.
 
-    A task is one share of the leaves, one plane and a group of patterns.
+    A task is one chunk of the leaves, one plane and a group of patterns.
 
     Parameters
     ----------
     leaves : Leaves
     channels : int64 (K,)
         The channel of each plane of `out`.
-    shares : Shares
+    work : WorkSplit
     patterns : float32 (P, K, N) or (P, 1, N)
         One plane is light of the same weights in all channels.
     lit : bool (P, n_blocks)
         True where a pattern lights a block; leaves between dark blocks are skipped.
-    out : float32 (shares, P, K, N)
+    out : float32 (chunks, P, K, N)
         The products are added to it.
     """
     count, planes = out.shape[1], out.shape[2]
-    groups = (count + shares.patterns - 1) // shares.patterns
-    for task in numba.prange(shares.bounds.shape[0] * planes * groups):
-        share, plane = task // groups // planes, task // groups % planes
-        first = task % groups * shares.patterns
-        last = min(first + shares.patterns, count)
-        for run in range(shares.bounds.shape[1] - 1):
+    groups = (count + work.patterns - 1) // work.patterns
+    for task in numba.prange(work.bounds.shape[0] * planes * groups):
+        chunk, plane = task // groups // planes, task // groups % planes
+        first = task % groups * work.patterns
+        last = min(first + work.patterns, count)
+        for run in range(work.bounds.shape[1] - 1):
             extent = (
-                shares.bounds[share, run],
-                shares.bounds[share, run + 1],
-                shares.offsets[share, run],
+                work.bounds[chunk, run],
+                work.bounds[chunk, run + 1],
+                work.offsets[chunk, run],
             )
             for p in range(first, last):
                 source = patterns[p, min(plane, patterns.shape[1] - 1)]
-                target = out[share, p, plane]
+                target = out[chunk, p, plane]
                 _apply_run(leaves, channels[plane], extent, lit[p], source, target)
 
 
 @numba.njit(cache=True, parallel=True)
-def apply_scalars(leaves, channels, shares, patterns, out):  # type: ignore[no-untyped-def]
+def apply_scalars(leaves, channels, work, patterns, out):  # type: ignore[no-untyped-def]
     """Add ``T p`` of the scalar leaves of the last level; arguments as `apply_leaves`.
 
     The blocks are tree positions ``a <= b``, the values float32 (C, n).
     """
     count, planes = out.shape[1], out.shape[2]
-    groups = (count + shares.patterns - 1) // shares.patterns
-    for task in numba.prange(shares.bounds.shape[0] * planes * groups):
-        share, plane = task // groups // planes, task // groups % planes
-        first = task % groups * shares.patterns
-        run = shares.bounds[share, 0], shares.bounds[share, -1]
-        for p in range(first, min(first + shares.patterns, count)):
+    groups = (count + work.patterns - 1) // work.patterns
+    for task in numba.prange(work.bounds.shape[0] * planes * groups):
+        chunk, plane = task // groups // planes, task // groups % planes
+        first = task % groups * work.patterns
+        run = work.bounds[chunk, 0], work.bounds[chunk, -1]
+        for p in range(first, min(first + work.patterns, count)):
             source = patterns[p, min(plane, patterns.shape[1] - 1)]
-            _apply_scalar_run(leaves, channels[plane], run, source, out[share, p, plane])
+            _apply_scalar_run(leaves, channels[plane], run, source, out[chunk, p, plane])
 
 
 @numba.njit(cache=True)
@@ -371,16 +372,16 @@ def _add_factor(factor, light, images):  # type: ignore[no-untyped-def]
 
 @numba.njit(cache=True)
 def _sum_sent(leaves, source, offset, partition, light):  # type: ignore[no-untyped-def]
-    """Add a factor's sum over the lit parts of its block `source` to the light of each pattern.
+    """Add a factor's sum over the lit cells of its block `source` to the light of each pattern.
 
     The factor's value of tree position k is at ``offset + k``.
     """
     for index in range(partition.first_lit[source, 0], partition.first_lit[source, 1]):
-        part = partition.lit[index]
-        first = offset + max(leaves.starts[source], partition.starts[part])
-        last = offset + min(leaves.starts[source + 1], partition.starts[part + 1])
+        cell = partition.lit[index]
+        first = offset + max(leaves.starts[source], partition.starts[cell])
+        last = offset + min(leaves.starts[source + 1], partition.starts[cell + 1])
         for c in range(light.shape[0]):
-            light[c, partition.pattern[part]] += summed(leaves.values[c, first:last])
+            light[c, partition.pattern[cell]] += summed(leaves.values[c, first:last])
 
 
 @numba.njit(cache=True, parallel=True)

@@ -1,7 +1,7 @@
 """Rank-1 leaves of a coarse level from the leaves of finer ones (thesis Fig. 5.7).
 
-The leaves below node (a, b) give the sums c of its columns and r of its rows, and the node becomes
-``c r^T / m``, where m is the sum of either (Fig. 5.1).
+The leaves below node (a, b) give the sum x_ab of its columns and the sum x_ba of its rows, and the
+node becomes ``x_ab x_ba^T / m``, where m is the sum of either (Fig. 5.1).
 """
 
 from __future__ import annotations
