@@ -132,7 +132,9 @@ def exact_pictures(
     lit = np.concatenate([np.ones((1, rays), bool), cells[:, camera.cells.of_ray]])
     images = np.einsum("cij,mj->mci", matrix, lit).astype(np.float32)
     variance = np.where(known, np.float32(1e-10), np.float32(np.inf))
-    return camera.summed(lit, np.where(known, images, 0), np.broadcast_to(variance, images.shape))
+    return camera.cell_pictures(
+        lit, np.where(known, images, 0), np.broadcast_to(variance, images.shape)
+    )
 
 
 @pytest.mark.parametrize(

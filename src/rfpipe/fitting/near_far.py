@@ -54,7 +54,7 @@ def solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
     pictures = joined([floodlit, probes], axis=0)
     model = fit_smooth_model(shape, pictures)
     camera = CameraCells.of_pictures(shape, pictures)
-    samples = camera.summed(pictures.lit, pictures.radiance, pictures.variance)
+    samples = camera.cell_pictures(pictures.lit, pictures.radiance, pictures.variance)
     smooth = near_far_transport(shape, [], model, pictures)
     residual = fit_residual(camera, coaxial_projector(camera), samples, smooth)
     return near_far_transport(shape, rows, model, pictures, [residual.transport(camera, shape)])

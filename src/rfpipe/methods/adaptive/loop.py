@@ -228,7 +228,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def _with_residual_of(self, state: AdaptiveState, base: Candidate) -> AdaptiveState:
         """Fit the residual of a transport to the pictures of all rounds."""
         camera, pictures = _camera_cells(state), _pictures(state)
-        parts = [camera.summed(pictures.lit, pictures.radiance, pictures.variance)]
+        parts = [camera.cell_pictures(pictures.lit, pictures.radiance, pictures.variance)]
         if state.cell_pictures is not None:
             parts.append(state.cell_pictures)
         projector = self._model(state).projector_cells(camera, base.transport)

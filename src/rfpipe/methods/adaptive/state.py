@@ -77,7 +77,7 @@ class AdaptiveState(MethodState):
     pictures : Pictures, optional
         Pictures of the model's rounds; the first is floodlit. None before it is taken.
     cell_pictures : CellPictures, optional
-        Pictures of all other rounds, averaged over cells.
+        Pictures of all other rounds, fitted to cells.
     held_out : Pictures, optional
         Held-out pictures.
     estimates : tuple of Estimate

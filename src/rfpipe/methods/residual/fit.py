@@ -1,9 +1,10 @@
 """Fit of the residual to the pictures of all rounds.
 
-For the model's equation and the letters f, g, K, C and M see `rfpipe.methods.residual.model`. The
-pictures' residual, averaged over cells, determines K (`rfpipe.methods.residual.posterior`). Light
-between cells isn't negative: K and M together are at least 0, which determines as much of K as many
-pictures do. The constraint is enforced by alternation: clip K, then fit what the clipped K leaves.
+`rfpipe.methods.residual.model` has the model's equation and symbols. The residual of the pictures,
+fitted to cells, determines K (`rfpipe.methods.residual.posterior`). The light between two cells,
+K plus the light of T0 there, can't be negative. This constraint contributes as much to K as many
+pictures would. It is imposed by alternation: clip K, then add a fit to the residual of the clipped
+K. The last fit isn't clipped, so that the constraint holds nearly, not exactly.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from rfpipe.steps import step, steps
 from rfpipe.transport.base import Transport
 
 # Number of times that the prior is learned and that K is clipped; iterations of each solution.
-_LEARNED, _CLIPPED, _ITERATIONS = 2, 8, 8
+_LEARNINGS, _CLIPPINGS, _ITERATIONS = 2, 8, 8
 # Largest number of pictures in the fit: the time grows with its square, and so does the memory, to
 # 1.3 GB for 4096 cells.
 _MOST_PICTURES = 512
@@ -51,7 +52,7 @@ def fit_residual(
     pictures : CellPictures
         Of all rounds, the floodlit picture first.
     model : Transport
-        M; it need not be accurate.
+        T0; it need not be accurate.
     """
     chosen, residual, variance = _fitted_pictures(camera, pictures, model)
     lit, observed = pictures.lit[chosen], pictures.radiance[chosen]
@@ -63,7 +64,7 @@ def fit_residual(
     # the prior is learned from the brightest channel, whose noise is least, and serves all
     order = sorted(range(channels), key=lambda channel: channel != brightest)
     shining = [channel for channel in order if camera.brightest[channel] > 0]
-    with steps("light between cells", _LEARNED + len(shining) * (1 + _CLIPPED)):
+    with steps("light between cells", _LEARNINGS + len(shining) * (1 + _CLIPPINGS)):
         for channel in shining:
             data = cell_data(
                 camera.cells.haar,
@@ -75,7 +76,7 @@ def fit_residual(
             prior = _learn_prior(data) if prior is None else prior
             share = camera.brightest[channel] / camera.brightest[brightest]
             model_light = _light_between_cells(camera, projector, model, channel)
-            matrix = _fit_not_negative(data, prior * share**2, model_light)
+            matrix = _fit_nearly_non_negative(data, prior * share**2, model_light)
             half = camera.cells.haar.forward(matrix)
             cores[channel] = projector.cells.haar.forward(np.ascontiguousarray(half.T)).T
             energy = np.square(observed[:, channel], dtype=np.float64).sum(axis=1).mean()
@@ -92,11 +93,11 @@ def _fitted_pictures(
     -------
     chosen : ndarray of int64, shape (chosen,)
         Indices of the pictures.
-    residual, variance : ndarray of float32, shape (chosen, C, cells)
+    residual, variance : ndarray of float32, shape (chosen, C, M')
         The variance includes the assumed error of a picture.
     """
     batches = np.split(pictures.lit, range(_BATCH, len(pictures.lit), _BATCH))
-    predicted = [camera.averaged(relight_white(model, lit)) for lit in batches]
+    predicted = [camera.fitted_to_cells(relight_white(model, lit)) for lit in batches]
     residual = pictures.radiance - np.concatenate(predicted)
     model_variance = np.square(np.float32(_MODEL_ERROR) * camera.brightest)
     variance = pictures.variance + model_variance[:, None]
@@ -112,29 +113,38 @@ def _fitted_pictures(
 def _learn_prior(data: CellData) -> Float:
     """Learn the prior variances of the exchange between cells from the pictures."""
     prior = initial_prior(data)
-    for _ in range(_LEARNED):
+    for _ in range(_LEARNINGS):
         posterior = Posterior.of(data, prior)
         prior = learned_prior(posterior, posterior.solve(data.observed, _ITERATIONS).core)
         step()
     return prior
 
 
-def _fit_not_negative(data: CellData, prior: Float, model_light: Float) -> Float:
-    """Compute K, (cells, cells), such that no light between cells is negative.
+def _fit_nearly_non_negative(data: CellData, prior: Float, model_light: Float) -> Float:
+    """Compute K, (M', N'), such that light between cells is nearly non-negative.
 
-    Each of the 8 rounds clips K at minus the model's light between cells and adds a fit of what the
-    clipped K leaves of the pictures. Since each round would fit more of the noise, they count its
-    variance 8 times.
+    Each of 8 clippings raises K to at least minus the model's light between cells, and is followed
+    by a fit to the residual of the clipped K. Since each of these fits would follow more of the
+    noise, they count its variance 8 times. The last of them isn't clipped: K may be below the bound
+    by its correction. The light of a cell to itself is not bounded on coaxial rigs.
+
+    Parameters
+    ----------
+    data : CellData
+    prior : ndarray of float32, shape (m, n)
+        V.
+    model_light : ndarray of float32, shape (M', N')
+        Light of T0 between cells, over f and g.
     """
     posterior = Posterior.of(data, prior)
     core, direct = posterior.solve(data.observed, 2 * _ITERATIONS)
     matrix = data.matrix(core)
     step()
-    posterior = Posterior.of(data, prior, _CLIPPED)
+    posterior = Posterior.of(data, prior, _CLIPPINGS)
     is_between = np.ones(matrix.shape, np.bool_)
     if data.is_symmetric:
         np.fill_diagonal(is_between, val=False)
-    for _ in range(_CLIPPED):
+    for _ in range(_CLIPPINGS):
         np.maximum(matrix, -model_light, out=matrix, where=is_between)
         core, more_direct = posterior.solve(data.residual(matrix, direct), _ITERATIONS)
         matrix += data.matrix(core)
@@ -146,7 +156,7 @@ def _fit_not_negative(data: CellData, prior: Float, model_light: Float) -> Float
 def _light_between_cells(
     camera: CameraCells, projector: ProjectorCells, model: Transport, channel: int
 ) -> Float:
-    """Compute a model's light between cells over f and g, (cells, cells)."""
+    """Compute the light of T0 between cells, over f and g, (M', N')."""
     factor, weight = camera.factor[channel], camera.weight[channel]
     projector_factor = projector.factor[channel]
     light = projector.cells.total(np.square(projector_factor)[None])[:, 0]
@@ -164,7 +174,7 @@ def _without_small_cores(
     Parameters
     ----------
     cores : ndarray of float32, shape (C, m, n)
-        Of all pairs of wavelets.
+        X of all pairs of wavelets.
     power : ndarray of float64, shape (C, n)
         Mean square of the light that patterns send in a wavelet, over the mean energy of pictures.
     projector : ProjectorCells

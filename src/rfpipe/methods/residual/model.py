@@ -1,26 +1,38 @@
 """The residual model: light that another model of the transport leaves unexplained.
 
-    T = M + f K f + diag(d)        coaxial rigs, K symmetric
-    T = M + f K g                  other rigs
+    T = T0 + f A K A^T f         coaxial rigs, K symmetric
+    T = T0 + f A K A'^T g        other rigs
 
-M is any transport: a near/far or footprint model, or a hierarchy. K connects cells
-of pixels, at most 4096 on either side, in Haar wavelets: ``K = W^T C W'``. Its entries have any
-sign; where they are negative they take back light of M. The factors f and g carry the texture: half
-of the light that a surface returns is in proportion to the light that it receives, half to the
-light that it sends, so both are roots of the images.
+T0 is the transport of any model: near/far, footprints, or a hierarchy. A and A' divide the pixels
+of the camera and of the projector into cells, at most 4096 on either side. K is the exchange of
+light between cells, described by coefficients X of Haar wavelets, ``K = W^T X W'``. Its entries
+have any sign; negative entries reduce light of T0.
 
-======  ===================  ============  =========================================================
-symbol  name in the code     shape         meaning and unit
-======  ===================  ============  =========================================================
-``M``   `model`              (M, N)        the model, M camera and N projector pixels, radiance
-``f``   `factor`             (C, M)        root of the floodlit image, mean 1, no unit
-``g``   `projector_factor`   (C, N)        root of the light that each projector ray sends, mean 1
-``W``   `cells.haar`         (m, cells)    Haar transform of the cells, orthonormal
-``C``   `cores`              (C, pairs)    non-zero entries between wavelets, radiance
-``d``    `direct`             (C, cells)    light that a cell returns to itself; it is fitted to
-                                           keep it out of K, and then dropped: direct light is
-                                           the floodlit image minus all other parts
-======  ===================  ============  =========================================================
+The factors f and g carry the texture within cells. Light between two surfaces is proportional to
+the albedo of both. The floodlit image is the albedo times the incident light; the albedo alone
+isn't known. A root of the floodlit image is a compromise between it and a constant, which isn't
+derived. f and g are the roots of an image plus 2 % of its mean, scaled to a mean of 1
+(`root_factor`).
+
+During the fit, on coaxial rigs, cells have direct light d besides, which keeps it out of K; see
+`rfpipe.methods.residual.posterior`. It is not part of the returned T: the direct light of the
+acquired transport is the floodlit image minus all other parts.
+
+=========  ==================  ============  =======================================================
+symbol     name in the code    shape         meaning and unit
+=========  ==================  ============  =======================================================
+``T0``     `model`             (M, N)        transport of the model, between M camera and N
+                                             projector pixels, radiance
+``f``      `factor`            (C, M)        root of the floodlit image of each channel, no unit
+``g``      `projector_factor`  (C, N)        root of the light that each projector pixel sends
+``A, A'``  `cells.of_ray`      (M, M'),      1 where a pixel is in a cell, of M' camera and N'
+                               (N, N')       projector cells
+``K``                          (M', N')      exchange of light between cells, radiance
+``W, W'``  `cells.haar`        (m, M'),      Haar transforms of the cells, orthonormal
+                               (n, N')
+``X``      `cores`             (C, pairs)    coefficients of the pairs of wavelets where they aren't
+                                             0, for C channels, radiance
+=========  ==================  ============  =======================================================
 """
 
 from __future__ import annotations
@@ -41,14 +53,14 @@ from rfpipe.transport.footprints import FootprintTransport, sparse_arrays
 from rfpipe.transport.wavelet import Cells, WaveletTransport, cell_side
 
 MOST_CELLS = 4096
-"""Largest number of cells; the covariance of all pairs of them takes 64 MiB."""
+"""Largest number of cells; one prior variance for each pair of cells takes 64 MiB."""
 
 # Light added before the root, as a share of the mean: dim pixels may exchange light too.
 _DIM_LIGHT = 0.02
 
 
 def residual_cells(shape: tuple[int, ...]) -> Cells:
-    """Return the smallest cells of a ray domain of which there are at most `MOST_CELLS`."""
+    """Divide a ray domain into the smallest cells of which there are at most `MOST_CELLS`."""
     return Cells(shape, cell_side(shape, MOST_CELLS))
 
 
@@ -63,14 +75,14 @@ def root_factor(light: Float) -> Float:
 
 @dataclass(frozen=True)
 class CellPictures:
-    """Pictures summed over the camera's cells, see `CameraCells.summed`.
+    """Pictures fitted to the camera's cells, see `CameraCells.fitted_to_cells`.
 
     Attributes
     ----------
     lit : ndarray of bool, shape (P, N)
-        The patterns.
-    radiance, variance : ndarray of float32, shape (P, C, cells)
-        Radiance over f. The variance is infinite where a cell has no known pixel.
+        The P patterns.
+    radiance, variance : ndarray of float32, shape (P, C, M')
+        Radiance over f, and its variance, which is infinite where a cell has no known pixel.
     """
 
     lit: NDArray[np.bool_]
@@ -113,11 +125,14 @@ class CameraCells:
 
     @cached_property
     def weight(self) -> Float:
-        """Sums of f^2 over the known pixels of each cell, (C, cells)."""
+        """Sums of f^2 over the known pixels of each cell, (C, M')."""
         return np.ascontiguousarray(self.cells.total(self.factor**2 * self.known).T)
 
-    def averaged(self, images: Float) -> Float:
-        """Fit f times a constant in each cell to images.
+    def fitted_to_cells(self, images: Float) -> Float:
+        """Fit a constant times f to the known pixels of each cell, by least squares.
+
+        For an image c, the constant of a cell is ``sum f c / sum f^2``, with sums over its known
+        pixels.
 
         Parameters
         ----------
@@ -125,37 +140,40 @@ class CameraCells:
 
         Returns
         -------
-        ndarray of float32, shape (P, C, cells)
+        ndarray of float32, shape (P, C, M')
             The constants; 0 where a cell has no known pixel.
         """
         planes = [
-            self._sums_over(weight, images[:, channel], self.factor[channel] * self.known)
+            self._sums_over_weight(weight, images[:, channel], self.factor[channel] * self.known)
             for channel, weight in enumerate(self.weight)
         ]
         return np.stack(planes, axis=1)
 
-    def summed(self, lit: NDArray[np.bool_], radiance: Float, variance: Float) -> CellPictures:
-        """Average pictures (P, C, M) of patterns (P, N) over cells."""
+    def cell_pictures(
+        self, lit: NDArray[np.bool_], radiance: Float, variance: Float
+    ) -> CellPictures:
+        """Fit the cells to pictures (P, C, M) of patterns (P, N), with their variances."""
         variance = np.where(self.known, variance, 0)
         planes = [
-            self._sums_over(weight**2, variance[:, channel], np.square(self.factor[channel]))
+            self._sums_over_weight(weight**2, variance[:, channel], np.square(self.factor[channel]))
             for channel, weight in enumerate(self.weight)
         ]
         cell_variance = np.where(self.weight > 0, np.stack(planes, axis=1), np.float32(np.inf))
-        return CellPictures(lit, self.averaged(radiance), cell_variance)
+        return CellPictures(lit, self.fitted_to_cells(radiance), cell_variance)
 
     def read(self, images: LevelImages, first: int = 0) -> CellPictures:
-        """Read a level's images from index `first` on, a few at a time, and average them."""
+        """Read a level's images from index `first` on, a few at a time, and fit the cells."""
         channels, rays = self.factor.shape
         lit = images.schedule.batch(first, images.schedule.count) > 0
         lit = lit.reshape(len(lit), -1)
         parts = [
-            self.summed(lit[part], np.moveaxis(radiance, 0, 1), np.moveaxis(variance, 0, 1))
+            self.cell_pictures(lit[part], np.moveaxis(radiance, 0, 1), np.moveaxis(variance, 0, 1))
             for part, radiance, variance in planar_batches(images, channels, rays, first)
         ]
         return joined(parts, axis=0)
 
-    def _sums_over(self, weight: Float, images: Float, factor: Float) -> Float:
+    def _sums_over_weight(self, weight: Float, images: Float, factor: Float) -> Float:
+        """Divide the sums of images times a factor over each cell by a weight of each cell."""
         sums = self.cells.total(images * factor).T
         return np.divide(sums, weight, out=np.zeros(sums.shape, np.float32), where=weight > 0)
 
@@ -169,7 +187,7 @@ class ProjectorCells:
     cells : Cells
     factor : ndarray of float32, shape (C, N)
         g; on coaxial rigs f.
-    places : ndarray of float32, shape (cells, 2), optional
+    places : ndarray of float32, shape (N', 2), optional
         Row and column, in the camera's cells, of the spot that each cell lights; None on coaxial
         rigs.
     """
@@ -198,7 +216,7 @@ class Residual:
     pairs : ndarray of int32, shape (2, pairs)
         Wavelets of the camera and of the projector with a non-zero core.
     cores : ndarray of float32, shape (C, pairs)
-        C, in radiance.
+        X, in radiance.
     projector_factor : ndarray of float32, shape (C, N)
         g; (C, 0) on coaxial rigs, where it is f.
     """

@@ -1,16 +1,25 @@
 """The most probable exchange of light between cells, given residual pictures of them.
 
-The residual pictures y of a channel, summed over cells and divided by the camera's factor f
-(`rfpipe.methods.residual.model`), are linear in the unknowns C and d:
+The residual pictures y of a channel, fitted to cells (`CameraCells.fitted_to_cells`), are linear in
+the unknowns X and d:
 
-    y = K l + d * l + noise,    K = W^T C W'
+    y = K l + d * l + noise,    K = W^T X W'
 
-l is the light that each pattern sends from the projector's cells. W and W' are Haar transforms of
-the camera's and the projector's cells. The entries of C and d are independent, normally distributed
-variables of mean 0 with the variances V and V_d; the noise has the variances R. With A for the
-linear map from the unknowns to y, their most probable values are
+l is the light that each pattern sends from the projector's cells; d multiplies it cell by cell. W
+and W' are Haar transforms of the camera's and the projector's cells. The entries of X and d are
+independent, normally distributed variables of mean 0 with the variances V and V_d; the noise has
+the variances R. With H for the linear map from the unknowns to y, and Sigma for the diagonal matrix
+of V and V_d, their most probable values are
 
-    (C, d) = V A^T lambda,    (A V A^T + R) lambda = y
+    (X, d) = Sigma H^T lambda,    (H Sigma H^T + R) lambda = y
+
+The code computes ``Sigma H^T lambda`` as
+
+    X = V * (r l_w^T)                  r = W lambda,  l_w = W' l
+    X = V * (r l_w^T + l_w r^T)        coaxial rigs, where X is symmetric
+
+where * multiplies entry by entry. For a diagonal entry the last line is twice what ``V H^T`` gives,
+so that the prior variance of a diagonal entry is effectively 2 V on coaxial rigs.
 
 The system for lambda has one unknown for each cell and picture. It is solved by conjugate
 gradients; the preconditioner inverts the covariance of the pictures for small groups of wavelets.
@@ -22,17 +31,18 @@ itself, is an unknown on coaxial rigs only.
 symbol      name in the code   shape         meaning and unit
 ==========  =================  ============  ===================================================
 ``K``       `matrix`           (M', N')      exchange between M' camera and N' projector cells
-``C``       `core`             (m, n)        exchange between m and n wavelets
+``X``       `core`             (m, n)        coefficients of K: exchange between m and n wavelets
 ``d``       `direct`           (M',)         light that a cell returns to itself
 ``W, W'``   `haar`,            (m, M'),      Haar transforms; orthonormal
             `sender_haar`      (n, N')
 ``l``       `cell_light`       (N', P)       light that P patterns send from each cell
-``W' l``    `light`            (n, P)        the same in wavelets
+``l_w``     `light`            (n, P)        ``W' l``, the same in wavelets
 ``y``       `observed`         (M', P)       residual pictures over f, radiance
 ``R``       `variance`         (M', P)       variance of their noise
-``V``       `prior`            (m, n)        prior variances of the entries of C
+``V``       `prior`            (m, n)        prior variances of the entries of X
 ``V_d``     `direct_variance`  scalar        prior variance of the entries of d
 ``lambda``  `dual`             (M', P)       dual solution
+``r``       `received`         (m, P)        ``W lambda``, the same in wavelets
 ==========  =================  ============  ===================================================
 """
 
@@ -115,7 +125,7 @@ class CellData:
         return [rows for group in self.haar.groups for rows in group.by_place()]
 
     def matrix(self, core: Float) -> Float:
-        """Compute K from C."""
+        """Compute K from X."""
         half = self.haar.inverse(core)
         transposed = self.sender_haar.inverse(np.ascontiguousarray(half.T))
         return transposed if self.is_symmetric else np.ascontiguousarray(transposed.T)
@@ -217,7 +227,7 @@ def _write_pairs(prior: Float, data: CellData, groups: tuple[Group, Group], pair
 
 
 class Solution(NamedTuple):
-    """The most probable C, (m, n), and d, (M',)."""
+    """The most probable X, (m, n), and d, (M',)."""
 
     core: Float
     direct: Float
@@ -236,7 +246,7 @@ class Posterior:
         Factor of the variances R.
     roots, inverses : ndarray of float32, shape (place groups, P, P)
         Inverse Cholesky factors, and inverses, of the covariance of the pictures of each group of
-        wavelets, as if their entries of C were independent of all others.
+        wavelets, as if their entries of X were independent of all others.
     """
 
     data: CellData
@@ -262,12 +272,12 @@ class Posterior:
         return cls(data, prior, np.float32(variance_scale), roots, inverses)
 
     def solve(self, observed: Float, iterations: int) -> Solution:
-        """Compute the most probable C and d for pictures y (M', P), 0 where a cell is unknown."""
+        """Compute the most probable X and d for pictures y (M', P), 0 where a cell is unknown."""
         data, direct_variance = self.data, self.data.direct_variance
         core = np.zeros_like(self.prior)  # written by each application of the covariance
 
         def covariance(dual: Float) -> Float:
-            """Apply ``A V A^T + R``; writes the C of `dual`, of a symmetric one the lower half."""
+            """Apply ``H Sigma H^T + R``; writes the X of `dual`, of a symmetric one half."""
             received = data.haar.forward(dual)
             if data.is_symmetric:
                 pictures = data.haar.inverse(self._exchange(received, core))
@@ -299,9 +309,9 @@ class Posterior:
         return Solution(symmetric, direct)
 
     def _exchange(self, received: Float, core: Float) -> Float:
-        """Compute C times the light, with ``C = V (received light^T + light received^T)``.
+        """Compute ``X l_w`` with ``X = V * (r l_w^T + l_w r^T)``.
 
-        One half of the symmetric C, with the diagonal, is written to `core`.
+        One half of the symmetric X, with the diagonal, is written to `core`.
         """
         from scipy.linalg.blas import ssymm, ssyr2k
 
@@ -319,7 +329,7 @@ class Posterior:
 
 
 def learned_prior(posterior: Posterior, core: Float) -> Float:
-    """Estimate V from a solution C and its uncertainty.
+    """Estimate V from a solution X and its uncertainty.
 
     The expected squares of the entries are averaged over the orientations and the neighbours of a
     pair of places, and drawn towards the mean of all pairs of the same two scales at about the same
@@ -347,12 +357,12 @@ def learned_prior(posterior: Posterior, core: Float) -> Float:
         entries = group.orientations * sender_group.orientations
         drawn = (entries * pairs + typical[half_octave]) / (entries + 1)
         _write_pairs(variance, data, (group, sender_group), drawn.astype(np.float32))
-    floor: Float = np.maximum(variance, np.float32(_LEAST_VARIANCE) * variance.max())
-    return floor
+    floored: Float = np.maximum(variance, np.float32(_LEAST_VARIANCE) * variance.max())
+    return floored
 
 
 def _remaining_variance(posterior: Posterior) -> Float:
-    """Approximate the variance of each entry of C that the pictures leave, (m, n).
+    """Approximate the variance of each entry of X that the pictures leave, (m, n).
 
     Each group of wavelets is taken as independent of the others. On coaxial rigs an entry is
     measured by its row and by its column; their certainties add up.
