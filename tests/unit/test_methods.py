@@ -87,7 +87,11 @@ class Broken(BruteForce):
     ("change", "test", "message"),
     [
         (lambda matrix: matrix[::-1], "a_small_matrix_is_estimated", "channel 0"),
-        (lambda matrix: matrix * (np.arange(30) % 6 < 5), "a_small_matrix_is_estimated", "column 5"),
+        (
+            lambda matrix: matrix * (np.arange(30) % 6 < 5),
+            "a_small_matrix_is_estimated",
+            "column 5",
+        ),
         (lambda matrix: 3 * matrix, "light_is_finite_and_bounded", "of light became"),
     ],
 )

@@ -330,7 +330,7 @@ class Misfit(NamedTuple):
         ``(c - z)^T Lambda (c - z)``.
     degrees_of_freedom : ndarray of int64, shape (M,)
         Approximate mean of chi_square if only noise is left: P - k, at least half of P; 0 for an
-        unknown pixel. It is about that where weights are much smaller than their prior deviations.
+        masked pixel. It is about that where weights are much smaller than their prior deviations.
         It would be P for weights distributed as their prior.
     allowed : ndarray of float32, shape (M,)
         Value of chi_square for an allowed error.

@@ -73,7 +73,7 @@ class ViewPictures:
     def inverse_variance(self, model_error: float = 0.0) -> Float:
         """Compute the inverse variance of the difference between picture and model, (M, P).
 
-        It is 0 for unknown pixels. The variance includes errors of the model: 0.2 % of the floodlit
+        It is 0 for masked pixels. The variance includes errors of the model: 0.2 % of the floodlit
         image, `model_error` of the floodlit image, and 1e-5 of its mean over all pixels.
         """
         floodlit = self.floodlit[:, None]

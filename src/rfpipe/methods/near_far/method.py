@@ -193,7 +193,7 @@ class NearFar(AdaptiveMethod):
         return _model(state, floodlit, None)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
-        """Give unknown pixels the radiance of the nearest known one: they light others too."""
+        """Give masked pixels the radiance of the nearest known pixel: they light others, too."""
         return picture.with_masked_filled(state.projector.shape)
 
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
