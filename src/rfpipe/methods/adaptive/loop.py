@@ -95,10 +95,11 @@ class AdaptiveMethod(Method[AdaptiveState]):
     ----------
     State : type of AdaptiveState
     hierarchy_cost : HierarchyCost
-        Of `State.hierarchy_method`.
+        Cost of the hierarchy, which is acquired by `State.hierarchy_method`.
     residual_is_optional : bool
-        Whether the residual of a model is dropped unless it reduces the error by 5 %. Otherwise it
-        is fitted from the first round on.
+        If True, the residual of a model is fitted from the second round on, and dropped unless it
+        reduces the error by 5 %. Otherwise it is fitted after each round, and used if it reduces
+        the error.
     """
 
     estimates_error = True
@@ -181,8 +182,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def transport_of_unlit_rays(self, state: AdaptiveState) -> Transport:
         """Return the transport that predicts the light of rays that the next level leaves unlit.
 
-        While the hierarchy is refined it is that of the hierarchy, whatever its error: the leaves
-        of its block tree are the rays that its next level leaves unlit.
+        While the hierarchy is refined it is the hierarchy's transport, whatever its error, since
+        the hierarchy itself chooses the rays that its next level leaves unlit.
         """
         if state.next_round is None or state.next_round.phase is not Phase.HIERARCHY:
             return self.transport(state)

@@ -22,7 +22,7 @@ class AdaptiveModel(Protocol):
     def counts(self) -> Mapping[str, int]:
         """Entries of the round's row in the table of levels, see `Transport.level_rows`.
 
-        The columns are those of a hierarchy; ``nodes`` is the number of the model's cores.
+        The table has the columns of a hierarchy; ``nodes`` is the number of the model's cores.
         """
 
     @property

@@ -119,7 +119,7 @@ class AdaptiveState(MethodState):
 
     @property
     def allows_hierarchy(self) -> bool:
-        """True if there is no limit of patterns, at which a hierarchy might be incomplete."""
+        """True without a limit on the number of patterns: a hierarchy must be complete."""
         return not self.options.patterns
 
     @property
@@ -131,7 +131,7 @@ class AdaptiveState(MethodState):
     def excess(self) -> list[float]:
         """Estimated errors after each round, divided by 95 % of their targets.
 
-        The larger ratio of those of all light and of indirect light.
+        The larger ratio of two: for all light, and for indirect light.
         """
         total = STOPPING_FRACTION * self.options.target_error
         indirect = STOPPING_FRACTION * (self.options.target_indirect or np.inf)

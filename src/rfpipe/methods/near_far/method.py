@@ -218,7 +218,7 @@ def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
         return Decision(Phase.HIERARCHY, NOT_SUITABLE)
     # the residual reduces the error; blocks determine more of it than the model's patterns do
     if is_exhausted or state.residual is not None:
-        return Decision(Phase.RESIDUAL, "smooth light is not all there is")
+        return Decision(Phase.RESIDUAL, "smooth light doesn't explain the pictures")
     return Decision(Phase.MODEL)
 
 
