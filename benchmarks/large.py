@@ -1,9 +1,9 @@
-"""What the run of config/large.yaml gave: errors as patterns grow, and what each stage took.
+"""Results of config/large.yaml: errors against patterns, and the resources of each stage.
 
 Usage: ``python -m benchmarks.large [FOLDER]``, the folder that holds the run's ``results``, by
 default ``large``. Writes docs/measured/large.csv, a row for each acquisition after each level,
 docs/measured/large_stages.csv, and docs/images/large.png. True errors are over pictures that no
-method saw, of the scene without noise; ``verified`` is over other pictures, taken with noise.
+method used, of the scene without noise; ``verified`` is over other pictures, taken with noise.
 """
 
 from __future__ import annotations
@@ -117,11 +117,11 @@ def stage_costs(scene: str, method: str) -> pd.DataFrame:
     rows = []
     folder = Path("results") / scene / method
     for path in [*folder.glob("*.benchmark.tsv"), *folder.glob("L*/*.benchmark.tsv")]:
-        taken = pd.read_csv(path, sep="\t", na_values="-").iloc[0]
+        job = pd.read_csv(path, sep="\t", na_values="-").iloc[0]
         stage = path.name.removesuffix(".benchmark.tsv")
-        rows.append([stage, taken["s"], taken["cpu_time"], taken["max_rss"] / 1024])
-    taken = pd.DataFrame(rows, columns=["stage", "seconds", "processor_s", "memory_gib"])
-    stages = taken.groupby("stage", sort=False).agg(
+        rows.append([stage, job["s"], job["cpu_time"], job["max_rss"] / 1024])
+    jobs = pd.DataFrame(rows, columns=["stage", "seconds", "processor_s", "memory_gib"])
+    stages = jobs.groupby("stage", sort=False).agg(
         jobs=("seconds", "size"),
         seconds=("seconds", "sum"),
         processor_s=("processor_s", "sum"),
@@ -147,9 +147,13 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
             axis.imshow(np.clip(image / white, 0, 1) ** (1 / 2.2))
             axis.set_title(title)
             axis.axis("off")
-        for method, own in table[table["scene"] == name].groupby("method", sort=False):
-            [line] = row[3].loglog(own["patterns"], 100 * own["mean_error"], "o-", label=method)
-            made = own[own["estimated_error"] != own["estimated_error"].shift()]
+        for method, method_rows in table[table["scene"] == name].groupby("method", sort=False):
+            [line] = row[3].loglog(
+                method_rows["patterns"], 100 * method_rows["mean_error"], "o-", label=method
+            )
+            made = method_rows[
+                method_rows["estimated_error"] != method_rows["estimated_error"].shift()
+            ]
             row[3].loglog(
                 made["patterns"], 100 * made["estimated_error"], "x:", color=line.get_color()
             )

@@ -124,7 +124,7 @@ class Case:
 
     @property
     def held_out(self) -> dict[str, bool]:
-        """Whether its scene, and its seed, are held out."""
+        """Flags of a held-out scene and of a held-out seed."""
         return {
             "held_out_scene": is_held_out(self.scene),
             "held_out_seed": is_held_out(f"seed {self.seed}"),

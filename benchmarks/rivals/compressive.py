@@ -34,7 +34,7 @@ LARGEST_DOMAIN = 64 * 64
 rays, patterns and atoms."""
 
 _SEED = 2009
-# Patterns where none are asked for: a fraction of the rays, and some on small domains.
+# Default number of patterns: a fraction of the rays, with a minimum for small domains.
 _RAYS_PER_PATTERN, _FEWEST = 8, 32
 # Measurements for each atom of a row. Where more would be taken the row is not sparse.
 _MEASUREMENTS_PER_ATOM = 4
@@ -88,7 +88,7 @@ class Compressive(BruteForce):
     The patterns are the published ones of compressive dual photography, on and off at random; the
     floodlit image makes signs of them, which are less alike. A row is taken to be a sum of few
     atoms: Haar wavelets, as published, and single rays, which hold direct light in one atom where
-    wavelets take dozens. Nothing is subtracted beforehand. Atoms are added until what is left of a
+    wavelets take dozens. Nothing is subtracted beforehand. Atoms are added until the residual of a
     pixel's measurements is their noise.
     """
 
@@ -170,9 +170,9 @@ class Compressive(BruteForce):
         return replace(state, rows=(*state.rows, row), **new)
 
 
-def pattern_count(rays: int, asked: int) -> int:
-    """Return how many patterns are shown: as many as are asked for, or by the projector's rays."""
-    return asked or max(rays // _RAYS_PER_PATTERN, _FEWEST)
+def pattern_count(rays: int, requested: int) -> int:
+    """Return the number of patterns: the requested one, or a default for the projector's rays."""
+    return requested or max(rays // _RAYS_PER_PATTERN, _FEWEST)
 
 
 def recover(
@@ -194,14 +194,14 @@ def recover(
         How many it is made of.
     """
     dictionary = rays_and_wavelets(projector)
-    seen = dictionary @ signs.T.astype(np.float64)
-    most = max(1, len(signs) // _MEASUREMENTS_PER_ATOM)
+    projected = dictionary @ signs.T.astype(np.float64)
+    max_atoms = max(1, len(signs) // _MEASUREMENTS_PER_ATOM)
     matrix = np.empty((len(measured), measured.shape[2], projector.size), np.float32)
     atoms = 0
     for channel, (values, spread) in enumerate(zip(measured, variance, strict=True)):
         weights = 1 / np.sqrt(trimmed_mean(spread))
         chosen, factors = pursue(
-            seen * weights, values.T * weights, (spread.T * weights**2).sum(axis=1), most
+            projected * weights, values.T * weights, (spread.T * weights**2).sum(axis=1), max_atoms
         )
         matrix[channel] = _sum_of_atoms(chosen, factors, dictionary.shape[0]) @ dictionary
         atoms += int(np.count_nonzero(chosen >= 0))
@@ -212,13 +212,13 @@ def _sum_of_atoms(
     chosen: NDArray[np.int64], factors: NDArray[np.float64], atoms: int
 ) -> NDArray[np.float64]:
     """Return each row's factors of all atoms, (rows, atoms)."""
-    found = np.zeros((len(chosen), atoms))
+    dense = np.zeros((len(chosen), atoms))
     row, place = np.nonzero(chosen >= 0)
-    found[row, chosen[row, place]] = factors[row, place]
-    return found
+    dense[row, chosen[row, place]] = factors[row, place]
+    return dense
 
 
-# An atom within so much of the span of those chosen before adds nothing but rounding.
+# An atom this close to the span of the chosen atoms would only add rounding errors.
 _DEPENDENT = 1e-6
 # Memory of the orthonormal bases of signals that are worked on together.
 _BATCH_BYTES = 128 * 2**20
@@ -227,7 +227,7 @@ _BATCH_BYTES = 128 * 2**20
 def rays_and_wavelets(domain: RayDomain) -> csr_array[Any]:
     """Return a dictionary of single rays and Haar wavelets.
 
-    The wavelets are those of the domain's block tree, each block's children halved in turn, so
+    The wavelets belong to the domain's block tree, each block's children halved in turn, so
     that they are orthonormal for any size and for stacks of views.
 
     Parameters
@@ -274,36 +274,36 @@ def _halves(bounds: NDArray[np.int64]) -> Iterator[tuple[int, int, int]]:
 
 
 def pursue(
-    atoms: Double, signals: Double, allowed: Double, most: int
+    atoms: Double, signals: Double, allowed: Double, max_atoms: int
 ) -> tuple[NDArray[np.int64], Double]:
     """Explain signals by few atoms each, by orthogonal matching pursuit.
 
-    Each step takes the atom that is nearest to what is left of a signal, and projects the signal
-    onto all those taken. J. A. Tropp and A. C. Gilbert, *Signal recovery from random measurements
+    Each step adds the atom that is nearest to the residual of a signal, and projects the signal
+    onto all chosen atoms. J. A. Tropp and A. C. Gilbert, *Signal recovery from random measurements
     via orthogonal matching pursuit*, IEEE Trans. Information Theory 53 (2007).
 
     Parameters
     ----------
     atoms : ndarray of float64, shape (a, m)
-        Of any norm; what is zero is never taken.
+        Of any norm; zero atoms are never chosen.
     signals : ndarray of float64, shape (n, m)
     allowed : ndarray of float64, shape (n,)
-        Squared norm at which what is left of a signal counts as noise.
-    most : int
-        Atoms that a signal may take.
+        Squared norm below which the residual of a signal counts as noise.
+    max_atoms : int
+        Largest number of atoms of a signal.
 
     Returns
     -------
-    chosen : ndarray of int64, shape (n, most)
+    chosen : ndarray of int64, shape (n, max_atoms)
         Atoms of each signal, -1 where there are fewer.
-    coefficients : ndarray of float64, shape (n, most)
+    coefficients : ndarray of float64, shape (n, max_atoms)
         Their factors, 0 there.
     """
     norms = np.maximum(np.linalg.norm(atoms, axis=1), np.finfo(np.float64).tiny)
     units = atoms / norms[:, None]
-    chosen = np.full((len(signals), most), -1, np.int64)
-    coefficients = np.zeros((len(signals), most))
-    step = max(1, _BATCH_BYTES // (max(most, 1) * signals.shape[1] * signals.itemsize))
+    chosen = np.full((len(signals), max_atoms), -1, np.int64)
+    coefficients = np.zeros((len(signals), max_atoms))
+    step = max(1, _BATCH_BYTES // (max(max_atoms, 1) * signals.shape[1] * signals.itemsize))
     for first in range(0, len(signals), step):
         part = slice(first, first + step)
         _pursue_some(units, signals[part], allowed[part], chosen[part], coefficients[part])
@@ -319,28 +319,28 @@ def _pursue_some(
     coefficients: Double,
 ) -> None:
     """Fill in the atoms of some signals, and their factors."""
-    count, most = chosen.shape
+    count, max_atoms = chosen.shape
     residual = signals.copy()
-    basis = np.zeros((count, most, signals.shape[1]))
+    basis = np.zeros((count, max_atoms, signals.shape[1]))
     # Of the chosen atoms in the basis: upper triangular, the identity where nothing is chosen.
-    shares = np.tile(np.eye(most), (count, 1, 1))
-    onto = np.zeros((count, most))
+    shares = np.tile(np.eye(max_atoms), (count, 1, 1))
+    onto = np.zeros((count, max_atoms))
     active = np.arange(count)
-    for step in range(most):
+    for step in range(max_atoms):
         active = active[np.square(residual[active]).sum(axis=1) > allowed[active]]
         if not len(active):
             break
         atom = np.abs(residual[active] @ units.T).argmax(axis=1)
-        taken, rest = basis[active, :step], units[atom]
+        chosen_atoms, remainder = basis[active, :step], units[atom]
         share = np.zeros((len(active), step))
         for _ in range(2):  # once more for what rounding left
-            again = np.einsum("kjm,km->kj", taken, rest)
-            rest = rest - np.einsum("kj,kjm->km", again, taken)
-            share += again
-        length = np.linalg.norm(rest, axis=1)
+            overlap = np.einsum("kjm,km->kj", chosen_atoms, remainder)
+            remainder = remainder - np.einsum("kj,kjm->km", overlap, chosen_atoms)
+            share += overlap
+        length = np.linalg.norm(remainder, axis=1)
         new = length > _DEPENDENT
         active, atom, length, share = active[new], atom[new], length[new], share[new]
-        direction = rest[new] / length[:, None]
+        direction = remainder[new] / length[:, None]
         chosen[active, step] = atom
         basis[active, step] = direction
         shares[active, :step, step], shares[active, step, step] = share, length

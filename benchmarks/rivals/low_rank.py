@@ -47,14 +47,14 @@ class Fit:
     Attributes
     ----------
     diagonal : ndarray of float32, shape (C, rays)
-    left : ndarray of float32, shape (C, rank, rays)
+    images : ndarray of float32, shape (C, rank, rays)
         The images u, of norm 1; zeros where a channel has fewer terms than another.
     strengths : ndarray of float32, shape (C, rank)
         The factors s, the largest magnitude first.
     """
 
     diagonal: Float
-    left: Float
+    images: Float
     strengths: Float
 
 
@@ -69,9 +69,9 @@ def start_fit(channels: int, rays: int) -> Fit:
 
 def relit(known: Fit, channel: int, vectors: Float) -> Float:
     """Return one channel's products with vectors (P, rays)."""
-    left = known.left[channel]
+    images = known.images[channel]
     products: Float = vectors * known.diagonal[channel]
-    products += ((vectors @ left.T) * known.strengths[channel]) @ left
+    products += ((vectors @ images.T) * known.strengths[channel]) @ images
     return products
 
 
@@ -95,16 +95,18 @@ def fit(vectors: Float, products: Float, noise: Double) -> Fit:
     if len(vectors) == 1:
         return replace(start_fit(len(products), vectors.shape[1]), diagonal=products[:, 0])
     columns = vectors.T.astype(np.float64)
-    found = [
+    range_terms = [
         _fit_channel(columns, of_channel.T.astype(np.float64), variance)
         for of_channel, variance in zip(products, noise, strict=True)
     ]
-    rank = max(len(strengths) for _, _, strengths in found)
-    left = np.zeros((len(found), rank, vectors.shape[1]), np.float32)
-    strengths = np.zeros((len(found), rank), np.float32)
-    for channel, (_, basis, own) in enumerate(found):
-        left[channel, : len(own)], strengths[channel, : len(own)] = basis.T, own
-    return Fit(np.array([diagonal for diagonal, _, _ in found], np.float32), left, strengths)
+    rank = max(len(strengths) for _, _, strengths in range_terms)
+    images = np.zeros((len(range_terms), rank, vectors.shape[1]), np.float32)
+    strengths = np.zeros((len(range_terms), rank), np.float32)
+    for channel, (_, basis, own) in enumerate(range_terms):
+        images[channel, : len(own)], strengths[channel, : len(own)] = basis.T, own
+    return Fit(
+        np.array([diagonal for diagonal, _, _ in range_terms], np.float32), images, strengths
+    )
 
 
 def _fit_channel(vectors: Double, products: Double, noise: Double) -> tuple[Double, Double, Double]:
@@ -144,8 +146,8 @@ def _reconciled(samples: Double, floodlit: Double) -> Double:
 def _terms(vectors: Double, products: Double, weights: Double) -> tuple[Double, Double]:
     """Fit terms to products ``Y`` of vectors ``X``: orthonormal images and strengths.
 
-    The range is that of the products' singular vectors above noise; within it, the symmetric core
-    S of least squares ``|U S U^T X - Y|``, weighted by the products' noise.
+    The range is spanned by the products' singular vectors above noise; within it, the symmetric
+    core S of least squares ``|U S U^T X - Y|``, weighted by the products' noise.
     """
     rays, count = products.shape
     weighted = products * weights
@@ -167,8 +169,8 @@ def _terms(vectors: Double, products: Double, weights: Double) -> tuple[Double, 
 _SEED = 2010
 # Patterns of the first round of random signs; each round doubles them all.
 _FIRST_ROUND = 16
-# So many patterns at most, and where they are asked for: a fit's time grows with their square.
-OWN_MOST, _MOST = 512, 4096
+# Largest numbers of patterns, by default and on request: the time of a fit grows with their square.
+DEFAULT_MOST, _MOST = 512, 4096
 
 
 @dataclass(frozen=True)
@@ -189,7 +191,7 @@ class Round:
 
 @dataclass(frozen=True)
 class LowRankState(MethodState):
-    """The state of an optical low-rank acquisition, beside what all states have.
+    """State of an optical low-rank acquisition.
 
     Level 0 is the floodlit image, each other one a round of random signs. A round's row has the
     ``estimated_error`` of the fit before it, relative to the images' norm.
@@ -201,7 +203,7 @@ class LowRankState(MethodState):
     fit : Fit
         To all of them.
     done : bool
-        Whether no more patterns are asked for.
+        Whether the acquisition is complete.
     """
 
     options: ErrorOptions
@@ -215,7 +217,7 @@ class LowRankState(MethodState):
         arrays = {
             "round_images": last.images,
             "round_noise": last.noise,
-            "left": self.fit.left,
+            "left": self.fit.images,
             "strengths": self.fit.strengths,
             "diagonal": self.fit.diagonal,
         }
@@ -270,7 +272,7 @@ class LowRank(Method[LowRankState]):
     ) -> Forecast:
         """Forecast the number of the options, or the largest number without one."""
         check_rays(self, camera, projector)
-        patterns = min(projector.size, options.patterns or OWN_MOST)
+        patterns = min(projector.size, options.patterns or DEFAULT_MOST)
         return self.forecast_of(camera, channels, patterns, patterns)
 
     def start(
@@ -286,7 +288,7 @@ class LowRank(Method[LowRankState]):
         shape = state.projector.shape
         if state.level == 0:
             return Schedule.floodlit(shape)
-        limit = min(state.options.patterns or OWN_MOST, _MOST)
+        limit = min(state.options.patterns or DEFAULT_MOST, _MOST)
         count = min(_probes(state.level), limit - state.shown)
         if state.done or count <= 0 or state.level >= _level_count(state.projector.size):
             return None
@@ -300,16 +302,16 @@ class LowRank(Method[LowRankState]):
         count = images.schedule.count
         signed, noise = _read(state, images)
         level = state.level
-        done, found = False, {}
+        done, counts = False, {}
         if level:
             signs = _signs(state.projector, level, count)
             estimate, within_noise = _held_out(state.fit, signs, signed, noise)
-            found = {"estimated_error": estimate}
+            counts = {"estimated_error": estimate}
             done = within_noise or estimate <= state.options.target_error
         new = Round(signed, noise)
         fitted = _fit_all(state, [*state.rounds, new])
         rank = fitted.strengths.shape[1]
-        row = level_row(level, count, nodes=1, rank1=rank, scalar=state.projector.size, **found)
+        row = level_row(level, count, nodes=1, rank1=rank, scalar=state.projector.size, **counts)
         return replace(
             state, rows=(*state.rows, row), rounds=(*state.rounds, new), fit=fitted, done=done
         )
@@ -317,7 +319,7 @@ class LowRank(Method[LowRankState]):
     def transport(self, state: LowRankState) -> LowRankTransport:
         """Return the diagonal and the terms, the strongest first."""
         arrays = {
-            "left": state.fit.left,
+            "left": state.fit.images,
             "strengths": state.fit.strengths,
             "diagonal": state.fit.diagonal,
         }
@@ -332,7 +334,7 @@ def _level_count(rays: int) -> int:
 
 
 def _probes(level: int) -> int:
-    """Return how many random signs a round shows; rounds are levels, from 1 on."""
+    """Return the number of random sign patterns of a round; rounds are levels from 1."""
     return _FIRST_ROUND << max(level - 2, 0)
 
 
@@ -344,7 +346,7 @@ def _signs(domain: RayDomain, level: int, count: int) -> Float:
 
 
 def _read(state: LowRankState, images: LevelImages) -> tuple[Float, NDArray[np.float64]]:
-    """Read a level's images as those of signed patterns, (C, P, rays), and their noise, (C, P)."""
+    """Read pictures of signed patterns from a level, (C, P, rays), and their noise, (C, P)."""
     count, rays, channels = images.schedule.count, state.projector.size, state.channels
     signed = np.empty((channels, count, rays), np.float32)
     noise = np.empty((channels, count))
@@ -364,10 +366,10 @@ def _held_out(
     residual = np.stack(
         [signed[c] - relit(known, c, signs) for c in range(len(signed))], dtype=np.float64
     )
-    found = float(np.square(residual).sum())
+    squares = float(np.square(residual).sum())
     expected = float(noise.sum()) * signs.shape[1]
     energy = float(np.square(signed, dtype=np.float64).sum())
-    excess = found - expected
+    excess = squares - expected
     within_noise = excess <= 3 * sqrt(2 / residual.size) * expected
     return sqrt(max(excess, 0.0) / energy) if energy else 0.0, within_noise
 
