@@ -101,10 +101,10 @@ def test_the_files_state_target_error_and_reason(
     rig = coaxial_rig(FAULTS[name].inject if name else None, camera=darker(2))
     settings = replace(
         SETTINGS, all_off_brackets=8, all_on_brackets=16, symmetry_brackets=6, watch="warn",
-        check_interval=8, asymmetry=0.05, divide_out_drift=True,
+        check_interval=8, accepted_asymmetry=0.05, divide_out_drift=True,
     )  # fmt: skip
     accepted = 0.05 if name != "gain" else 0.9  # not to go on as on a rig that isn't coaxial
-    plan = Plan.of("auto", "auto", RAYS, RAYS, 1, {"target_error": target}, accepted)
+    plan = Plan.of("auto", "auto", (RAYS, RAYS, 1), {"target_error": target}, accepted)
     folder = acquire_on_files(tmp_path / "matrix" / "auto", rig, plan, settings)
     verification.run(CaptureContext(folder, settings, rig_source=GivenRig(rig)), 3)
     stated = read_manifest(folder.path / VERIFICATION_MANIFEST)

@@ -25,7 +25,7 @@ class RemoteAcquisition(StagewiseAcquisition):
 
     def __init__(self, path: Path, url: str, camera_shape: tuple[int, ...] = SHAPE) -> None:
         super().__init__(path / "results", None)
-        self.plan = Plan.of("dual", "dual", camera_shape, SHAPE, 3, {"tolerance": 1e-3})
+        self.plan = Plan.of("dual", "dual", (camera_shape, SHAPE, 3), {"tolerance": 1e-3})
         self.url = url
         self.token = path / "rig.token"
         self.token.write_text(TOKEN)

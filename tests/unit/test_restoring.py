@@ -54,7 +54,7 @@ def test_arrays_that_only_the_next_level_needed_are_not_read_later(
     method: str, prefix: str, tmp_path: Path, read: list[tuple[str, str]]
 ) -> None:
     run = acquired(method)
-    folder, plan = stored(tmp_path, run), Plan.of(method, method, SHAPE, SHAPE, 1)
+    folder, plan = stored(tmp_path, run), Plan.of(method, method, (SHAPE, SHAPE, 1))
     levels = len(run.changes)
     holders = [
         f"L{level:02d}"
@@ -71,7 +71,7 @@ def test_arrays_that_only_the_next_level_needed_are_not_read_later(
 
 def test_leaves_are_read_when_they_are_needed(tmp_path: Path, read: list[tuple[str, str]]) -> None:
     run = acquired("symmetric")
-    folder, plan = stored(tmp_path, run), Plan.of("symmetric", "symmetric", SHAPE, SHAPE, 1)
+    folder, plan = stored(tmp_path, run), Plan.of("symmetric", "symmetric", (SHAPE, SHAPE, 1))
     state = plan.restored_state(folder, 2)
     plan.method.next_schedule(state)
     assert not [name for _, name in read if name.startswith(("leaves_", "parents_"))]
@@ -81,7 +81,7 @@ def test_leaves_are_read_when_they_are_needed(tmp_path: Path, read: list[tuple[s
 
 def test_damage_of_a_state_names_its_stage(tmp_path: Path) -> None:
     run = acquired("dual")
-    folder, plan = stored(tmp_path, run), Plan.of("dual", "dual", SHAPE, SHAPE, 1)
+    folder, plan = stored(tmp_path, run), Plan.of("dual", "dual", (SHAPE, SHAPE, 1))
     chunks = list((folder.store(1, "refine") / "stored_values").rglob("*"))
     for chunk in chunks:
         if chunk.is_file() and chunk.name != "zarr.json":

@@ -52,7 +52,7 @@ class StagewiseAcquisition:
         self.rig = rig
         self.folder = FolderStorage(path)
         options = {} if tolerance is None else {"tolerance": tolerance}
-        self.plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
+        self.plan = Plan.of(method, method, (SHAPE, SHAPE, 1), options)
         self.resources = Resources()
         self.settings = SETTINGS
 
@@ -106,7 +106,7 @@ def acquire(
     """Start or continue an acquisition of a matrix, like a job of all stages."""
     folder = FolderStorage(path)
     if isinstance(plan, str):
-        plan = Plan.of(plan, plan, SHAPE, SHAPE, 1)
+        plan = Plan.of(plan, plan, (SHAPE, SHAPE, 1))
     with StoreLock(path):
         acquire_transport(Acquisition(folder, settings, rig_source=GivenRig(rig), plan=plan))
     return folder

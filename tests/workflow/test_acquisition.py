@@ -46,7 +46,7 @@ def rig() -> object:
 def test_a_job_of_all_stages_writes_the_files_of_single_stages(tmp_path: Path, method: str) -> None:
     acquire(tmp_path / "job", rig(), method)
     one_by_one = StagewiseAcquisition(tmp_path / "stages", rig())
-    one_by_one.plan = Plan.of(method, method, SHAPE, SHAPE, 1)
+    one_by_one.plan = Plan.of(method, method, (SHAPE, SHAPE, 1))
     one_by_one.acquire_levels()
     one_by_one.assemble()
     assert stored(tmp_path / "job") == stored(tmp_path / "stages")

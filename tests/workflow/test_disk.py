@@ -42,7 +42,7 @@ def disk(monkeypatch: pytest.MonkeyPatch) -> Disk:
 def acquisition(folder: Path, **settings: Any) -> StagewiseAcquisition:
     rig = FaultyRig(matrix_rig(noise=CAMERA), lambda key, frame: frame)
     acquisition = StagewiseAcquisition(folder, rig, **settings)
-    acquisition.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)
+    acquisition.plan = Plan.of("brute_force", "brute_force", (SHAPE, SHAPE, 1))
     acquisition.schedule(0)
     return acquisition
 

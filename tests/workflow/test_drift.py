@@ -53,7 +53,7 @@ class DimmingRig:
 def begun(path: Path, loss: float = 0.2) -> StagewiseAcquisition:
     """Return an acquisition whose next stage is the capture of level 1."""
     acquisition = StagewiseAcquisition(path, DimmingRig(matrix_rig(noise=CAMERA), loss))
-    acquisition.plan = Plan.of("symmetric", "symmetric", (4, 5), (4, 5), 1, {"tolerance": 1e-6})
+    acquisition.plan = Plan.of("symmetric", "symmetric", ((4, 5), (4, 5), 1), {"tolerance": 1e-6})
     acquisition.level(0)
     acquisition.schedule(1)
     return acquisition

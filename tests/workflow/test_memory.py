@@ -34,7 +34,7 @@ from rfpipe.jobs.workers import Resources
 shape, count = (40, 50), int(sys.argv[2])
 rays = shape[0] * shape[1]
 folder = FolderStorage(Path(sys.argv[1]))
-plan = Plan.of("brute_force", "brute_force", shape, shape, 3)
+plan = Plan.of("brute_force", "brute_force", (shape, shape, 3))
 light = scipy.sparse.identity(rays, format="csr")
 rig = OperatorRig([light, 0.5 * light, 0.1 * light], shape, shape, CameraModel(), seed=1)
 resources = Resources(memory_gib=0.01, threads=2)

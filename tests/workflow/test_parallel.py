@@ -52,7 +52,7 @@ def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StagewiseAcquis
     monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
     monkeypatch.setattr(merging, "_CHUNKS_PER_PIECE", 2)
     acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
-    acquisition.plan = Plan.of("brute_force", "brute_force", STAGED, STAGED, 1)
+    acquisition.plan = Plan.of("brute_force", "brute_force", (STAGED, STAGED, 1))
     acquisition.schedule(0)
     acquisition.capture(0)
     return acquisition

@@ -151,7 +151,7 @@ def test_a_memory_limit_reduces_the_patterns_per_batch(tmp_path: Path) -> None:
 
     rig = Counting(symmetric_matrix(), SHAPE, SHAPE, CAMERA)
     acquisition = StagewiseAcquisition(tmp_path, rig)
-    acquisition.plan = Plan.of("brute_force", "brute_force", SHAPE, SHAPE, 1)
+    acquisition.plan = Plan.of("brute_force", "brute_force", (SHAPE, SHAPE, 1))
     acquisition.schedule(0)
     acquisition.capture(0, batch_patterns=3)
     assert max(batches) == 3

@@ -104,7 +104,7 @@ def test_a_method_for_all_rigs_continues_as_the_measured_rig_requires(
     folder = FolderStorage(tmp_path / "acquired")
 
     def run() -> str:
-        plan = Plan.of("choice", name, SHAPE, SHAPE, 1)
+        plan = Plan.of("choice", name, (SHAPE, SHAPE, 1))
         acquired(plan, folder, matrix_rig(matrix, CameraModel()), FRAMES)
         return plan.for_measured_rig(folder).method.name
 
@@ -123,7 +123,7 @@ def test_a_method_for_all_rigs_continues_as_the_measured_rig_requires(
 def test_a_rig_is_coaxial_only_within_the_target_error_of_the_method() -> None:
     asymmetry = Asymmetry(0.03, 0.001)
     for target, coaxial in ((None, True), (0.05, True), (0.01, False)):
-        options = SimpleNamespace(target_error=target)
+        options = SimpleNamespace(error_target=target)
         assert symmetry.is_coaxial(asymmetry, Choice(), options, 0.05) is coaxial
 
 
@@ -131,7 +131,7 @@ def test_a_run_ends_where_its_rig_is_not_coaxial(tmp_path: Path) -> None:
     def run(method: str, frames: int, name: str = "") -> FolderStorage:
         folder = FolderStorage(tmp_path / (name or f"{method}_{frames}"))
         acquired(
-            Plan.of(method, method, SHAPE, SHAPE, 1),
+            Plan.of(method, method, (SHAPE, SHAPE, 1)),
             folder,
             matrix_rig(crooked(), CameraModel()),
             frames,

@@ -49,7 +49,7 @@ def acquire(
     path: Path, rig: Any, method: str = "dual", mode: str = "warn", interval: int = INTERVAL
 ) -> FolderStorage:
     options = {"tolerance": 1e-2} if method == "dual" else {}
-    plan = Plan.of(method, method, SHAPE, SHAPE, 1, options)
+    plan = Plan.of(method, method, (SHAPE, SHAPE, 1), options)
     return acquire_matrix(path, rig, plan, settings(mode, interval))
 
 

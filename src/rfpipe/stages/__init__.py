@@ -1,5 +1,16 @@
-"""The stages of an acquisition: schedule, capture, merge, normalize, refine, assemble, relight.
+"""The stages of an acquisition, and the loops that run them.
 
-Each works on files and is called by the workflow's script of its name; `acquire` runs the same
-steps in one process.
+====================================================== =============================================
+for each level                                         schedule, capture, merge, normalize, refine
+once per acquisition                                   assemble, verification
+once per acquisition, to report on it                  relight
+once per run, to report on all acquisitions            evaluate
+loops over the levels                                  acquisition (any storage), acquire (memory)
+inputs of stages                                       plan, settings, context, rig_sources
+parts of a capture                                     brackets, watch
+jobs of the workflow, rigs without a server, forecasts job, offline, forecast
+====================================================== =============================================
+
+The workflow runs the stages on files, as jobs. `rfpipe.acquire` runs those of the levels in memory,
+and the verification if pictures are requested; it doesn't relight.
 """

@@ -168,16 +168,17 @@ def acquire(
     _check(all_off_brackets, all_on_brackets, symmetry_brackets, verification, watch)
     began = perf_counter()
     description, storage = get_method(method), MemoryStorage()
-    shapes = rig.camera_shape, rig.projector_shape, rig.channels
-    plan = Plan.of(description.name, description, *shapes, options, asymmetry)
+    rays = rig.camera_shape, rig.projector_shape, rig.channels
+    plan = Plan.of(description.name, description, rays, options, asymmetry)
     settings = AcquisitionSettings(
         all_off_brackets=all_off_brackets,
         all_on_brackets=all_on_brackets,
         symmetry_brackets=symmetry_brackets if plan.measures_symmetry else 0,
         # precautions of simulated rigs have no interval; the caller may set `watch` nevertheless
+        # a simulated rig has no interval; a caller who sets `watch` gets check pictures even so
         check_interval=precautions.check_interval or PRECAUTIONS["remote"].check_interval,
         watch=watch,
-        asymmetry=asymmetry,
+        accepted_asymmetry=asymmetry,
         mask_defects=mask_defects,
         divide_out_drift=divide_out_drift,
         progress=progress,

@@ -37,20 +37,20 @@ method's state, the others return nothing.
 def acquire_levels(acquisition: Acquisition) -> Iterator[Acquisition]:
     """Acquire level by level until the method is done; yield the acquisition after each level.
 
-    Each stage reads what the stages before it wrote in the storage. The method's state is passed
-    on to the next level.
+    Each stage reads what the stages before it wrote in the storage. `acquisition` has no state: it
+    is the method's at the start, or restored from the storage. The state after a level is passed on
+    to the next level.
     """
+    assert acquisition.state is None
     for level in count():
         _timed(acquisition, "schedule", level)
         if not acquisition.storage.read_manifest(level, "schedule")["patterns"]:
             return
         _timed(acquisition, "capture", level)
         _timed(acquisition, "merge", level)
-        if level == 0:  # the merge has measured the rig's symmetry
+        if level == 0:  # the merge has measured the rig's symmetry, which may change the method
             plan = acquisition.plan.for_measured_rig(acquisition.storage, is_logged=True)
-            is_changed = plan.method.name != acquisition.plan.method.name
-            state = plan.start() if is_changed else acquisition.state
-            acquisition = replace(acquisition, plan=plan, state=state)
+            acquisition = replace(acquisition, plan=plan)
         _timed(acquisition, "normalize", level)
         state = _timed(acquisition, "refine", level)
         acquisition = replace(acquisition, state=state)

@@ -86,7 +86,7 @@ def capture_brackets(
     storage: Storage,
     brackets: BracketSet,
     batch: int,
-    watch: CheckPictureTaker | None = None,
+    watcher: CheckPictureTaker | None = None,
     *,
     progress: bool = True,
 ) -> Facts:
@@ -96,7 +96,7 @@ def capture_brackets(
     ----------
     batch : int
         Patterns displayed, then stored, at a time.
-    watch : CheckPictureTaker, optional
+    watcher : CheckPictureTaker, optional
         Takes check pictures between them.
 
     Raises
@@ -115,14 +115,14 @@ def capture_brackets(
         began = monotonic()
         with Progress(name, count, done, is_visible=progress) as bar:
             for start, stop in frames.missing(batch):
-                _capture_batch(rig, brackets, frames, start, stop, watch)
+                _capture_batch(rig, brackets, frames, start, stop, watcher)
                 bar.advance(stop - start)
         if done < count:
             _log.info(
                 "%s: %s in %.1f s", name, counted(count - done, "pattern"), monotonic() - began
             )
-        if watch:
-            watch.before(count)
+        if watcher:
+            watcher.before(count)
         return brackets.entry(frames)
 
 
@@ -132,13 +132,13 @@ def _capture_batch(
     frames: StoredPictures,
     start: int,
     stop: int,
-    watch: CheckPictureTaker | None,
+    watcher: CheckPictureTaker | None,
 ) -> None:
     """Capture and store brackets ``start:stop``, with the check pictures that are due."""
-    checks = watch.due(start, stop) if watch else ()
+    checks = watcher.due(start, stop) if watcher else ()
     for first, last in pairwise([start, *checks, stop]):
-        if watch:
-            watch.before(first)
+        if watcher:
+            watcher.before(first)
         frames.write(first, take_brackets(rig, brackets, first, last))
 
 

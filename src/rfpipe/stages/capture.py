@@ -129,15 +129,16 @@ def _capture_watched(rig: Rig, context: CaptureContext, brackets: BracketSet, ba
     storage, settings, level = context.storage, context.settings, brackets.level
     interval = settings.check_interval
     interval = max(interval, sequence_patterns(rig)) if interval else 0
-    with watching_level(rig, storage, brackets, settings.watch, interval) as watch:
-        if watch and watch.references and level != VERIFICATION:
-            watch.before(0)  # says first what changes from picture to picture
+    with watching_level(rig, storage, brackets, settings.watch, interval) as watcher:
+        if watcher and watcher.references and level != VERIFICATION:
+            # taken first: where it reports unsteady gain or light, misalignment can't be told apart
+            watcher.before(0)
             check_calibration(
-                storage, level, watch.references, brackets.settings["rig"], settings.asymmetry,
-                refuse=watch.is_refusing,
+                storage, level, watcher.references, brackets.settings["rig"],
+                settings.accepted_asymmetry, refuse=watcher.is_refusing,
             )  # fmt: skip
-        entry = capture_brackets(rig, storage, brackets, batch, watch, progress=settings.progress)
-        return {**entry, **(watch.entries() if watch else {})}
+        entry = capture_brackets(rig, storage, brackets, batch, watcher, progress=settings.progress)
+        return {**entry, **(watcher.entries() if watcher else {})}
 
 
 def bracket_sets(

@@ -52,8 +52,12 @@ class Acquisition(CaptureContext):
     state: Any = None
 
     def state_before(self, level: int) -> Any:
-        """Return the method's state before a level."""
+        """Return the method's state before a level.
+
+        A `state` that was passed on has to be the one before this level.
+        """
         if self.state is not None:
+            assert len(self.state.rows) == level
             return self.state
         return self.plan.restored_state(self.storage, level)
 

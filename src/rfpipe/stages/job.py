@@ -73,7 +73,7 @@ class StageJob:
         )
 
     def _settings(self) -> AcquisitionSettings:
-        """Settings of the rule's parameters, and of the resources that shape no result."""
+        """Settings from the rule's parameters, and from its resources, which change no result."""
         resources = self.snakemake.resources
         texts = {name: getattr(resources, name) for name in OPERATING_SETTINGS}
         return AcquisitionSettings(

@@ -39,8 +39,9 @@ class Plan:
         Colour channels, 1 or 3.
     options : Options
         The method's options.
-    asymmetry : float
+    accepted_asymmetry : float
         Accepted error in relit pictures, relative to their norm, of treating the rig as coaxial.
+        `for_measured_rig` chooses the method by it.
     """
 
     name: str
@@ -50,22 +51,25 @@ class Plan:
     projector: RayDomain
     channels: int
     options: Options
-    asymmetry: float
+    accepted_asymmetry: float
 
     @classmethod
     def of(
-        cls, name: str, method: str | MethodDescription,
-        camera_shape: Sequence[int], projector_shape: Sequence[int], channels: int,
-        options: Mapping[str, Any] | None = None, asymmetry: float = 0.05,
-    ) -> Plan:  # fmt: skip
+        cls,
+        name: str,
+        method: str | MethodDescription,
+        rays: tuple[Sequence[int], Sequence[int], int],
+        options: Mapping[str, Any] | None = None,
+        accepted_asymmetry: float = 0.05,
+    ) -> Plan:
         """Make the plan of a method.
 
         Parameters
         ----------
         method : str or MethodDescription
             See `rfpipe.methods.get_method`.
-        camera_shape, projector_shape : sequence of int
-            See `rfpipe.blocks.RayDomain`.
+        rays : (sequence of int, sequence of int, int)
+            Shapes of the camera's and of the projector's `RayDomain`, and number of channels.
         options : mapping, optional
             Options that differ from their defaults.
 
@@ -75,6 +79,7 @@ class Plan:
             If the method has no such option, or doesn't fit the rays.
         """
         description = get_method(method)
+        camera_shape, projector_shape, channels = rays
         camera, projector = RayDomain(tuple(camera_shape)), RayDomain(tuple(projector_shape))
         check_rays(description, camera, projector)
         return cls(
@@ -85,12 +90,12 @@ class Plan:
             projector,
             channels,
             options_of(description, **(options or {})),
-            asymmetry,
+            accepted_asymmetry,
         )
 
     @property
     def measures_symmetry(self) -> bool:
-        """True if the rig's symmetry is measured before level 0."""
+        """True if the rig's symmetry is measured by patterns captured with level 0."""
         return self.description.measures_symmetry(self.camera, self.projector)
 
     def start(self) -> Any:
@@ -126,13 +131,13 @@ class Plan:
         if measured is None:
             return self
         coaxial = is_coaxial(
-            measured, self.description, self.options, self.asymmetry,
+            measured, self.description, self.options, self.accepted_asymmetry,
             was_coaxial=was_coaxial(storage.read_manifest(0, "capture")["rig"]),
         )  # fmt: skip
         method = self.description.for_rig(self.camera, self.projector, coaxial)
         if is_logged:
             is_chosen = method.name != self.description.name
-            log_asymmetry(measured, self.asymmetry, method if is_chosen else None)
+            log_asymmetry(measured, self.accepted_asymmetry, method if is_chosen else None)
         return replace(self, method=method)
 
     def describe(self) -> dict[str, Any]:

@@ -40,9 +40,10 @@ class AcquisitionSettings:
         Minutes of all-on light, unless a bracket was taken that recently.
     watch : {"off", "warn", "refuse"}
         What to do where pictures show that the rig or its light changed.
-    asymmetry : float
-        Accepted asymmetry of a rig that was coaxial when it was calibrated, an error of relit
-        pictures relative to their norm.
+    accepted_asymmetry : float
+        Error in relit pictures, relative to their norm, above which asymmetry shows that a rig has
+        changed since its calibration found it coaxial. Only this check uses it; the method is
+        chosen by `Plan.accepted_asymmetry`.
     mask_defects : bool
         Whether dead and hot pixels have an infinite variance in all images.
     divide_out_drift : bool
@@ -70,7 +71,7 @@ class AcquisitionSettings:
     when_patterns_change: WhenChanged = "recapture"
     warm_up_minutes: float = 0.0
     watch: WatchMode = "off"
-    asymmetry: float = 1.0
+    accepted_asymmetry: float = 1.0
     mask_defects: bool = True
     divide_out_drift: bool = False
     keep_raw: bool = True
@@ -89,7 +90,7 @@ SETTINGS_OF_STAGE = {
     "refine": ("code",),
     "assemble": ("code", "scene", "number_format", "sources"),
 }
-"""Names of the settings that shape the result of each stage, the parameters of its rule.
+"""Names of the settings on which the result of each stage depends, the parameters of its rule.
 
 The code is not among those of captures: an edit takes no picture again.
 """
@@ -99,14 +100,14 @@ OPERATING_SETTINGS = (
     "warm_up_minutes",
     "when_patterns_change",
     "watch",
-    "asymmetry",
+    "accepted_asymmetry",
     "keep_raw",
 )
-"""Names of the settings that shape no result. A change of them runs no stage again."""
+"""Names of the settings that have no effect on results. A change of them runs no stage again."""
 
 
 def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[str, Any]:
-    """Return the settings that shape the results of stages, as plain data.
+    """Return the settings on which the results of stages depend, as plain data.
 
     Parameters
     ----------
@@ -139,8 +140,14 @@ def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[
 def operating_settings(config: Config, scene: str) -> dict[str, Any]:
     """Return the `OPERATING_SETTINGS` of a scene."""
     capture = config.of_scene(scene).capture
-    settings = {name: getattr(capture, name) for name in OPERATING_SETTINGS}
-    return {**settings, "watch": "off" if capture.rig == "simulated" else capture.watch}
+    return {
+        "batch_patterns": capture.batch_patterns,
+        "warm_up_minutes": capture.warm_up_minutes,
+        "when_patterns_change": capture.when_patterns_change,
+        "watch": "off" if capture.rig == "simulated" else capture.watch,
+        "accepted_asymmetry": capture.asymmetry,
+        "keep_raw": capture.keep_raw,
+    }
 
 
 def operating_settings_from_text(texts: Mapping[str, str]) -> dict[str, Any]:
@@ -150,20 +157,20 @@ def operating_settings_from_text(texts: Mapping[str, str]) -> dict[str, Any]:
         "warm_up_minutes": float(texts["warm_up_minutes"]),
         "when_patterns_change": texts["when_patterns_change"],
         "watch": texts["watch"],
-        "asymmetry": float(texts["asymmetry"]),
+        "accepted_asymmetry": float(texts["accepted_asymmetry"]),
         "keep_raw": texts["keep_raw"] == "True",
     }
 
 
 def plan_settings(config: Config, scene: str, name: str) -> dict[str, Any]:
     """Return the arguments of `Plan.of` for one method of a scene, as plain data."""
-    section = config.methods_of(scene)[name]
+    section, rays = config.methods_of(scene)[name], _rays(config.scenes[scene])
     return {
         "name": name,
         "method": section.method or name,
-        **_rays(config.scenes[scene]),
+        "rays": [rays["camera_shape"], rays["projector_shape"], rays["channels"]],
         "options": section.options(),
-        "asymmetry": config.of_scene(scene).capture.asymmetry,
+        "accepted_asymmetry": config.of_scene(scene).capture.asymmetry,
     }
 
 

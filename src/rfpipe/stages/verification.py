@@ -165,7 +165,7 @@ def run(context: CaptureContext, pictures: int) -> None:
     picture_context = verification_context(context, pictures)
     capture.run(picture_context, VERIFICATION)
     merge.run(picture_context, VERIFICATION)
-    _verify_and_write(storage, context.settings.code, context.settings.asymmetry)
+    _verify_and_write(storage, context.settings.code, context.settings.accepted_asymmetry)
 
 
 def schedule_pictures(folder: FolderStorage, pictures: int) -> None:
