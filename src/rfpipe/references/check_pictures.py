@@ -51,5 +51,5 @@ def recovery_advice(storage: Storage, level: int, rig_kind: str = "") -> str:
     `rig_kind` is the entry ``kind`` of the rig's description.
     """
     if rig_kind == "offline":
-        return "mend it, and take the pictures again; capture.watch: warn continues despite it"
+        return "fix this, and take the pictures again; capture.watch: warn continues despite it"
     return storage.recovery_advice(level)

@@ -193,7 +193,7 @@ def _flicker(samples: Samples, camera: CameraModel) -> float | None:
 def _late_fault(blacks: Double, whites: Double) -> Fault | None:
     """Return the fault of a first all-on picture that shows the all-off pattern before it."""
     if len(whites) > 2 and is_of_previous(whites[0], blacks.mean(axis=0), whites[1:].mean(axis=0)):
-        return late_fault(1.0, "the first white picture is dark")
+        return late_fault(1.0, "the first all-on picture is dark")
     return None
 
 
@@ -253,7 +253,7 @@ def _room_fault_of_references(blacks: Double, whites: Samples, camera: CameraMod
     if change_of_whites > SIGNIFICANCE * np.sqrt(2) * deviation:
         change = max(change, change_of_whites)
     count = len(blacks) + len(whites.counts)
-    fault = room_fault(change / white, f"in {count} black and white pictures")
+    fault = room_fault(change / white, f"in {count} all-off and all-on pictures")
     return fault if fault.exceeds(NOTED) else None
 
 

@@ -1,7 +1,7 @@
 """Test whether a rig is coaxial, by the random patterns captured with level 0.
 
-For any two of the random patterns and the floodlit one, the light from the first to where the
-second is lit must equal the light in the opposite direction (reciprocity, 2.10). Misalignment by
+For any two of the random patterns and the all-on one, the light from the rays of the first to those
+of the second must equal the light in the opposite direction (reciprocity, 2.10). Misalignment by
 half a pixel causes an error of 45 % in relit pictures.
 """
 
@@ -63,8 +63,8 @@ class Asymmetry:
         Description of a displacement of the pictures, see `rfpipe.references.placement`; "" for
         pictures in place.
     excess : float
-        Light of random pictures beyond that expected from the floodlit one, relative to it; 0
-        unless it is significant. Asymmetry doesn't cause it: ``1^T (T - T^T) 1 = 0``.
+        Light of random pictures beyond that expected from the floodlit image, relative to the
+        latter; 0 unless it is significant. Asymmetry doesn't cause it: ``1^T (T - T^T) 1 = 0``.
     """
 
     error: float
@@ -81,9 +81,10 @@ class Asymmetry:
         )
         if self.excess:
             return (
-                f"{text}, but random pictures have {self.excess:+.1%} of the white ones' light "
-                "too much: the room's light changed (black it out), the rig or the scene moved, or "
-                "the projector's light depends on its picture (switch dynamic contrast off)"
+                f"{text}, but the light of random pictures is {self.excess:+.1%} of the floodlit "
+                "image's above the expected one: the room's light changed (black it out), the rig "
+                "or the scene moved, or the projector's light depends on its picture (switch "
+                "dynamic contrast off)"
             )
         return f"{text}; {self.place}" if self.place else text
 
@@ -158,7 +159,7 @@ def _not_coaxial(asymmetry: Asymmetry, accepted: float, *, was_coaxial: bool) ->
     limit = _limit(accepted)
     if asymmetry.excess:
         return CaptureError(
-            f"{_not_symmetric(asymmetry)}, and {limit}", remedy="Mend that, and start over"
+            f"{_not_symmetric(asymmetry)}, and {limit}", remedy="Fix this, and start over"
         )
     if was_coaxial:
         return CaptureError(f"{no_longer_coaxial(asymmetry.text)}. {limit}")
@@ -205,7 +206,7 @@ def measure_asymmetry(
     signs = random_signs(references.floodlit.shape[:-1], count, seed=0)
     pictures = SignPictures(signs.reshape(count, -1), radiance, variance)
     error, standard_error = measure_symmetry(floodlit, floodlit_variance, pictures)
-    # Light from a masked pixel is missing in one direction only; this is the largest such error.
+    # light of a masked pixel is missing in one direction only
     masked = _MASKED * float(np.mean(~np.isfinite(references.floodlit_variance)))
     error = float(np.sqrt(max(error**2 - masked, 0)))
     place, excess = _place(signs, pictures, floodlit), _excess(pictures, floodlit)
@@ -222,13 +223,13 @@ def read_asymmetry(storage: Storage) -> Asymmetry | None:
 
 
 def _excess(pictures: SignPictures, floodlit: Double) -> float:
-    """Return the light of pictures beyond that expected, relative to the floodlit image's.
+    """Estimate the light of pictures beyond that expected, relative to the floodlit image's.
 
     On a coaxial rig ``1^T T p = p^T T 1``. Returns 0 unless the excess is significant.
     """
-    white = floodlit.sum(axis=-1)
-    total = float(white.sum()) or 1.0
-    expected = (pictures.signs @ white + total) / 2
+    grey = floodlit.sum(axis=-1)
+    total = float(grey.sum()) or 1.0
+    expected = (pictures.signs @ grey + total) / 2
     excess = (pictures.radiance.sum(axis=(1, 2)) - expected) / total
     mean, deviation = float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(len(excess)))
     return mean if abs(mean) > max(_MIN_EXCESS, _EXCESS_SIGNIFICANCE * deviation) else 0.0

@@ -53,7 +53,7 @@ from rfpipe.units import (
     WARM_UP_KEY,
 )
 
-_SECONDS_BETWEEN_BRACKETS = 30.0  # of white, while the lamp warms up
+_SECONDS_BETWEEN_BRACKETS = 30.0  # of the all-on pattern, while the lamp warms up
 
 _log = logging.getLogger(__name__)
 
@@ -156,7 +156,7 @@ def bracket_sets(
     described : dict
         Description of the rig.
     is_exact : bool
-        Whether the sensor measures exact radiance, which takes one black and one floodlit frame.
+        Whether the sensor measures exact radiance, which takes one all-off and one all-on bracket.
     """
     schedule = read_schedule(storage, level)
     shape = schedule.shape
@@ -196,7 +196,7 @@ def bracket_sets(
 def reference_patterns(
     projector_shape: tuple[int, ...], all_off_brackets: int, first: int, last: int
 ) -> tuple[NDArray[np.float32], Keys]:
-    """Return reference patterns ``first:last``, the all-off ones before the others, and keys."""
+    """Return reference patterns ``first:last``, all-off before all-on ones, and their keys."""
     indices = range(first, last)
     patterns = np.zeros((len(indices), *projector_shape), np.float32)
     patterns[max(0, all_off_brackets - first) :] = 1
@@ -271,10 +271,10 @@ def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: 
     for fault in faults_of_reference_brackets(samples[:black], samples[black:], camera):
         if watch == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(
-                f"black and white pictures show that {fault.text}. The capture ends here",
+                f"all-off and all-on pictures show that {fault.text}. The capture ends here",
                 remedy=recovery_advice(storage, 0, captured["rig"].get("kind", "")),
             )
-        _log.warning("black and white pictures show that %s", fault.text)
+        _log.warning("all-off and all-on pictures show that %s", fault.text)
 
 
 def _warm_up(rig: Rig, storage: Storage, seconds: float) -> None:

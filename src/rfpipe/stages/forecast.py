@@ -65,6 +65,7 @@ def forecast(settings: Config) -> pd.DataFrame:
         n_verification = scene_settings.verification_pictures
         has_check_pictures = n_verification > 0 and capture.precautions.check_interval > 0
         # a check picture is taken before and after the verification pictures
+        # a check picture before the first and after the last verification picture
         n_further += n_verification + 2 * has_check_pictures
         expected = plan.description.forecast(
             plan.camera, plan.projector, plan.channels, plan.options

@@ -226,7 +226,7 @@ def place_scene(command: str, scene: str) -> None:
         raise CaptureError(
             f"{scene} was not put before the rig: capture.placing {command!r} failed ({error}). "
             "Nothing was captured",
-            remedy="mend that and run again",
+            remedy="fix this and run again",
         ) from error
 
 

@@ -81,9 +81,9 @@ class Verification:
         A row for each picture, over the unmasked rays; values are relative to the picture's light,
         see `rfpipe.relighting.picture_errors`, and NaN without light.
 
-        ``name``; ``difference``: ``||relit - captured||``; ``noise``: share of the difference that
-        the captured picture's noise is expected to cause; ``error``: the difference without that
-        share, 0 where only noise is visible; ``standard_error``; ``plain_error``: the error
+        ``name``; ``difference``: ``||relit - captured||``; ``noise``: norm of the noise that the
+        captured picture is expected to have; ``error``: ``sqrt(difference^2 - noise^2)``, 0 where
+        the difference is below the noise; ``standard_error``; ``plain_error``: the error
         relative to the picture's norm, however dark it is.
     patterns : ndarray of float32, shape (P, *projector_shape)
     captured, relit : ndarray of float32, shape (P, *camera_shape, C)
@@ -243,7 +243,7 @@ def compare_with_captured(
     Notes
     -----
     With ``d = relit - captured`` and the variance v of each sample, ``sum d^2`` has the expectation
-    ``sum (error^2 + v)``, of which the noise's share is subtracted, and the standard deviation
+    ``sum (error^2 + v)``, from which ``sum v`` is subtracted, and the standard deviation
     ``sqrt(sum (2 v^2 + 4 v error^2))``. The noise of the transport is part of its error. Saturated
     samples are excluded.
     """
@@ -253,14 +253,14 @@ def compare_with_captured(
     judged = known & ~are_saturated(*captured)
     observed, relit = np.where(known, captured[0], 0), np.where(known, relit, 0)
     is_known = np.isfinite(floodlit[0]) & np.isfinite(floodlit[1])
-    white, white_variance = np.where(is_known, floodlit, 0).astype(np.float64)
-    white_energy = float((np.square(white) - white_variance).sum())
+    floodlit_light, floodlit_noise = np.where(is_known, floodlit, 0).astype(np.float64)
+    floodlit_energy = float((np.square(floodlit_light) - floodlit_noise).sum())
     rows = []
     for index, pattern in enumerate(patterns):
         variance = np.where(judged[index], captured[1][index], 0).astype(np.float64)
         squares = np.square(relit[index].astype(np.float64) - observed[index]) * judged[index]
         energy = float(np.square(observed[index], dtype=np.float64).sum() - variance.sum())
-        typical = white_energy * np.square(pattern, dtype=np.float64).mean()
+        typical = floodlit_energy * np.square(pattern, dtype=np.float64).mean()
         name = f"{KINDS[index % len(KINDS)]} {index // len(KINDS) + 1}"
         rows.append([name, *_errors(squares, variance, energy, typical)])
     columns = ["name", "difference", "noise", "error", "standard_error", "plain_error"]

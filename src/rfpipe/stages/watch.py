@@ -216,7 +216,8 @@ class Watcher:
             self._report(f"{place}: {fault.text}. Pictures from before and after are inconsistent")
         else:
             _log.warning(
-                "%s: %s; but a repeated picture doesn't: pictures before it may show what passed",
+                "%s: %s; its repeat looks normal, so something passed briefly: the pictures before "
+                "this check picture may show it",
                 place, fault.change,
             )  # fmt: skip
 
