@@ -135,7 +135,7 @@ def test_changed_patterns_are_captured_again(
         acquisition.capture(0, when_patterns_change="refuse")
     with caplog.at_level(logging.WARNING, logger="rfpipe"):
         acquisition.capture(0)
-    assert "CAPTURING ANEW" in caplog.text
+    assert "CAPTURING AGAIN" in caplog.text
     assert "were dropped after their merge" in caplog.text
     acquisition.merge(0)
     assert chunks(acquisition.folder.path) == []

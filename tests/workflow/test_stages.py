@@ -121,7 +121,7 @@ def test_a_changed_rig_is_refused_or_captured_again_with_a_warning(
     with caplog.at_level(logging.INFO, logger="rfpipe"):
         acquisition.capture(0)
     messages = [record.getMessage() for record in caplog.records]
-    recaptured = next(i for i, text in enumerate(messages) if "CAPTURING ANEW" in text)
+    recaptured = next(i for i, text in enumerate(messages) if "CAPTURING AGAIN" in text)
     assert "rig.seed 0 -> 7" in messages[recaptured]
     assert all("patterns in" not in text for text in messages[:recaptured])  # before the capture
     assert read_manifest(tmp_path / "L00/capture.json")["digest"] != first["digest"]

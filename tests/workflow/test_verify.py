@@ -276,7 +276,7 @@ def test_a_run_repairs_damaged_stages_without_new_pictures(
             return
         shown = acquire(run)
     assert bool(shown) == (kind == "level: missing")
-    assert "CAPTURING ANEW" not in caplog.text
+    assert "CAPTURING AGAIN" not in caplog.text
 
 
 def test_a_calibration_is_checked_and_measured_again(tmp_path: Path) -> None:

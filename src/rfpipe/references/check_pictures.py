@@ -39,9 +39,9 @@ def check_pattern(projector_shape: tuple[int, ...]) -> NDArray[np.float32]:
 def first_check_picture(storage: Storage, references: ReferenceImages) -> MergedImages | None:
     """Merge the acquisition's first check picture; None where there is none."""
     for level in storage.levels():
-        with suppress(StoreError), storage.partial_brackets(level, CHECK_PICTURES) as frames:
-            if frames.done[0]:
-                return references.merge(frames.read(0, 1))
+        with suppress(StoreError), storage.partial_brackets(level, CHECK_PICTURES) as store:
+            if store.done[0]:
+                return references.merge(store.read(0, 1))
     return None
 
 

@@ -70,8 +70,8 @@ def measure_drift(
     first = first_check_picture(storage, references) if CHECK_PICTURES in captured else None
     if first is None:
         return Drift(None, {})
-    with storage.pictures(level, "capture", CHECK_PICTURES) as frames:
-        brackets = (frames.read(n, n + 1) for n in range(frames.shape[0]))
+    with storage.pictures(level, "capture", CHECK_PICTURES) as store:
+        brackets = (store.read(n, n + 1) for n in range(store.shape[0]))
         differences = [compare_pictures(references, first, bracket) for bracket in brackets]
     gain = np.stack([difference.gain for difference in differences])
     is_moved = max(difference.residual for difference in differences) > CAPTURE.moved

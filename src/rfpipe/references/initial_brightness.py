@@ -87,8 +87,8 @@ def measure_initial_brightness(
     channels = references.floodlit.shape[-1]
     ones = np.ones(channels), np.ones((n_random, channels))
     last = range(off + max(0, on - _LAST_BRACKETS), off + on)
-    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as frames:
-        lights = [_light(references.merge(frames.read(n, n + 1), n)) for n in last]
+    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as store:
+        lights = [_light(references.merge(store.read(n, n + 1), n)) for n in last]
     level_0 = _level_0_light(storage, references) if level_0_is_floodlit else None
     series = np.stack([light.total for light in (*lights, *([level_0] if level_0 else []))])
     if not (series[-1] > 0).all():
@@ -126,8 +126,8 @@ def divide_floodlit(references: ReferenceImages, brightness: Double) -> Referenc
 
 
 def _level_0_light(storage: Storage, references: ReferenceImages) -> _Light:
-    with storage.pictures(0, "capture") as frames:
-        return _light(references.merge(frames.read(0, 1)))
+    with storage.pictures(0, "capture") as store:
+        return _light(references.merge(store.read(0, 1)))
 
 
 def _light(merged: MergedImages) -> _Light:

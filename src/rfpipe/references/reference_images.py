@@ -212,8 +212,8 @@ def _check_saturation(share: float, sensor: Sensor, rig_kind: RigKind) -> None:
 def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> ReferenceImages:
     """Estimate the reference images from the captured reference brackets."""
     off, on = _bracket_counts(storage).values()
-    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as frames:
-        brackets = (frames.read(index, index + 1) for index in range(off + on))
+    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as store:
+        brackets = (store.read(index, index + 1) for index in range(off + on))
         black = islice(brackets, off)
         rig_kind = kind_of_rig(storage.read_manifest(0, "capture")["rig"])
         return estimate_references(sensor, black, brackets, mask_defects, rig_kind)

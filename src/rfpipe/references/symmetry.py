@@ -192,9 +192,9 @@ def measure_asymmetry(
     """
     if SYMMETRY not in storage.read_manifest(0, "capture"):
         return {}
-    with storage.pictures(0, "capture", SYMMETRY) as frames:
-        count = frames.shape[0]
-        merged = [references.merge(frames.read(index, index + 1), index) for index in range(count)]
+    with storage.pictures(0, "capture", SYMMETRY) as store:
+        count = store.shape[0]
+        merged = [references.merge(store.read(index, index + 1), index) for index in range(count)]
     radiance = _flat(np.concatenate([picture.radiance for picture in merged]))
     variance = _flat(np.concatenate([picture.variance for picture in merged]))
     if brightness is not None:

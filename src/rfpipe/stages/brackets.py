@@ -66,9 +66,9 @@ class BracketSet:
         """Count the brackets that aren't captured."""
         return sum(last - first for first, last in self.missing(storage, max(1, self.count)))
 
-    def entry(self, frames: StoredPictures) -> Facts:
+    def entry(self, store: StoredPictures) -> Facts:
         """Describe the captured brackets for a manifest."""
-        return {**frames.entry(), "fingerprint": self.fingerprint}
+        return {**store.entry(), "fingerprint": self.fingerprint}
 
 
 class CheckPictureTaker(Protocol):
@@ -105,17 +105,17 @@ def capture_brackets(
         When the rig fails or returns invalid frames; captured brackets stay.
     """
     name, count = brackets.name, brackets.count
-    with open_recording(rig, storage, brackets) as frames:
-        done = int(np.count_nonzero(frames.done))
+    with open_recording(rig, storage, brackets) as store:
+        done = int(np.count_nonzero(store.done))
         if 0 < done < count:
             _log.info(
                 "%s: %d of %d patterns are captured; going on at pattern %d",
-                name, done, count, frames.missing(1)[0][0],
+                name, done, count, store.missing(1)[0][0],
             )  # fmt: skip
         began = monotonic()
         with Progress(name, count, done, is_visible=progress) as bar:
-            for start, stop in frames.missing(batch):
-                _capture_batch(rig, brackets, frames, start, stop, watcher)
+            for start, stop in store.missing(batch):
+                _capture_batch(rig, brackets, store, start, stop, watcher)
                 bar.advance(stop - start)
         if done < count:
             _log.info(
@@ -123,13 +123,13 @@ def capture_brackets(
             )
         if watcher:
             watcher.before(count)
-        return brackets.entry(frames)
+        return brackets.entry(store)
 
 
 def _capture_batch(
     rig: Rig,
     brackets: BracketSet,
-    frames: StoredPictures,
+    store: StoredPictures,
     start: int,
     stop: int,
     watcher: CheckPictureTaker | None,
@@ -139,13 +139,13 @@ def _capture_batch(
     for first, last in pairwise([start, *checks, stop]):
         if watcher:
             watcher.before(first)
-        frames.write(first, take_brackets(rig, brackets, first, last))
+        store.write(first, take_brackets(rig, brackets, first, last))
 
 
 def open_recording(
     rig: Rig, storage: Storage, brackets: BracketSet
 ) -> AbstractContextManager[StoredPictures]:
-    """Open the store of brackets for writing; made if there is none."""
+    """Open the store of brackets for writing; create it if there is none."""
     shape, dtype = _layout(rig, brackets)
     return storage.record_brackets(
         brackets.level, brackets.part, shape, dtype, brackets.fingerprint, brackets.settings

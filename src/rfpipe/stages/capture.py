@@ -178,11 +178,11 @@ def bracket_sets(
             )
         )
     if level == 0 and settings.symmetry_brackets:
-        frames = settings.symmetry_brackets
-        patterns = partial(symmetry_patterns, shape, frames)
-        counts = {"symmetry_brackets": frames, "rig": described}
+        count = settings.symmetry_brackets
+        patterns = partial(symmetry_patterns, shape, count)
+        counts = {"symmetry_brackets": count, "rig": described}
         name = "brackets of random patterns"
-        sets.append(BracketSet(level, SYMMETRY, name, frames, counts, patterns))
+        sets.append(BracketSet(level, SYMMETRY, name, count, counts, patterns))
     attributes = {
         "patterns": schedule.count, "pattern_digest": schedule.digest(), "rig": described,
     }  # fmt: skip
@@ -265,9 +265,9 @@ def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: 
     camera, black = camera_model_of(sensor), captured["all_off_brackets"]
     if camera is None:
         return
-    with storage.partial_brackets(0, REFERENCE_BRACKETS) as frames:
-        count = frames.shape[0]
-        samples = np.stack([sample_pixels(frames.read(n, n + 1)[0], count) for n in range(count)])
+    with storage.partial_brackets(0, REFERENCE_BRACKETS) as store:
+        count = store.shape[0]
+        samples = np.stack([sample_pixels(store.read(n, n + 1)[0], count) for n in range(count)])
     for fault in faults_of_reference_brackets(samples[:black], samples[black:], camera):
         if watch == "refuse" and fault.exceeds(CAPTURE):
             raise CaptureError(

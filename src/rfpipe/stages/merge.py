@@ -66,7 +66,7 @@ def run(context: CaptureContext, level: int) -> None:
         When the floodlit image is black or below the black level, or a frame can't be one of the
         sensor's; names the pattern.
     IntegrityError
-        When captured frames are damaged.
+        When captured brackets are damaged.
     """
     storage, settings = context.storage, context.settings
     sensor = context.sensor or read_sensor(storage)
@@ -180,7 +180,7 @@ class _FileMerge:
     references : ReferenceImages
     gains : ndarray of float64, shape (patterns, C), or None
         Brightness of the lamp at each pattern, divided out.
-    frames : StoredPictures
+    store : StoredPictures
         Brackets of the level.
     images : ItemWriter
         Writer of the level's images.
@@ -190,7 +190,7 @@ class _FileMerge:
 
     references: ReferenceImages
     gains: NDArray[np.float64] | None
-    frames: Any
+    store: Any
     images: Any
     chunk: int
 
@@ -201,7 +201,7 @@ class _FileMerge:
         with self.images.adding(first) as add:
             for start in range(first, last, self.chunk):
                 stop = min(start + self.chunk, last)
-                merged = self.references.merge(self.frames.read(start, stop), start)
+                merged = self.references.merge(self.store.read(start, stop), start)
                 if self.gains is not None:
                     merged = _divided(merged, self.gains[start:stop])
                 total.add_images(merged)
@@ -239,8 +239,8 @@ def _merge_images(
     chunk = chunk_patterns(image_shape)
     total = ImageSum.zero(image_shape)
     with ExitStack() as stack:
-        frames = stack.enter_context(storage.pictures(level, "capture"))
-        count = frames.shape[0]
+        store = stack.enter_context(storage.pictures(level, "capture"))
+        count = store.shape[0]
         ranges = file_ranges(count, image_shape)
         chunks_per_file = max(-(-(last - first) // chunk) for first, last in ranges or [(0, 1)])
         layout, shape = (chunk, chunks_per_file), (count, 2, *image_shape)
@@ -251,7 +251,7 @@ def _merge_images(
             f"{level_name(level)} merge", count, is_visible=context.settings.progress
         )
         bar = stack.enter_context(progress)
-        work = _FileMerge(references, gains, frames, writer, chunk)
+        work = _FileMerge(references, gains, store, writer, chunk)
         workers = stack.enter_context(
             context.resources.workers(work.memory_bytes, storage.folder(level))
         )

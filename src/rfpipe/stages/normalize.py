@@ -29,16 +29,16 @@ from rfpipe.units import NormalizationMode
 class NormalizedImages:
     """The images of a level, scaled to add up to the floodlit image as they are read (B.2).
 
-    ``frames.read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C).
+    ``store.read(first, last)`` returns radiance and variance, (B, 2, *camera_shape, C).
     """
 
     schedule: Schedule
-    frames: Any
+    store: Any
     normalization: LevelGain
 
     def read(self, first: int, last: int) -> tuple[Float, Float]:
         """Read normalized radiance and its variance of patterns ``first:last``."""
-        images = self.frames.read(first, min(last, self.schedule.count))
+        images = self.store.read(first, min(last, self.schedule.count))
         return apply(images[:, 0], images[:, 1], self.normalization)
 
 

@@ -256,7 +256,7 @@ def _check_same_rig(rig: RemoteRig, folder: FolderStorage) -> None:
 def _recorded_rig(folder: FolderStorage) -> dict[str, Any] | None:
     """Description of the rig of the first brackets; None without any, or where they are damaged."""
     try:
-        with folder.partial_brackets(0, REFERENCE_BRACKETS) as frames:
-            return dict(frames.attributes["rig"]) if frames.done.any() else None
+        with folder.partial_brackets(0, REFERENCE_BRACKETS) as store:
+            return dict(store.attributes["rig"]) if store.done.any() else None
     except (StoreError, KeyError):
         return None

@@ -209,8 +209,8 @@ def verify(storage: Storage, transport: Transport) -> Verification:
     """Relight a transport with the verification patterns, and compare with the merged pictures."""
     weights = read_schedule(storage, VERIFICATION).weights
     assert weights is not None
-    with storage.pictures(VERIFICATION, "merge") as frames:
-        images = frames.read(0, len(weights))
+    with storage.pictures(VERIFICATION, "merge") as store:
+        images = store.read(0, len(weights))
     drift = storage.read_manifest(VERIFICATION, "merge").get(CHECK_PICTURES)
     gain = np.mean(drift["gain"], axis=0) if drift else np.ones(transport.channels)
     relit = transport.relight_batch(weights)

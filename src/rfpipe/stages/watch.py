@@ -83,12 +83,12 @@ def watching_level(
         check_picture_count(level_brackets.count, interval), settings, repeated,
     )  # fmt: skip
     storage.make_room(level, CHECK_PICTURES, check_brackets.fingerprint, settings, "recapture")
-    with open_recording(rig, storage, check_brackets) as frames:
+    with open_recording(rig, storage, check_brackets) as store:
         references = None
         if storage.exists(0, "merge"):
             references = read_references(rig.sensor, storage)
         yield Watcher(
-            rig, storage, level_brackets, references, check_brackets, frames, interval,
+            rig, storage, level_brackets, references, check_brackets, store, interval,
             is_refusing=mode == "refuse",
         )  # fmt: skip
 
@@ -98,9 +98,9 @@ def _interval(storage: Storage, level_brackets: BracketSet, interval: int) -> in
     if level_brackets.count_missing(storage) == level_brackets.count:
         return interval if level_brackets.count else 0
     try:
-        with storage.partial_brackets(level_brackets.level, CHECK_PICTURES) as frames:
-            if frames.attributes.get("level_fingerprint") == level_brackets.fingerprint:
-                return int(frames.attributes["interval"])
+        with storage.partial_brackets(level_brackets.level, CHECK_PICTURES) as store:
+            if store.attributes.get("level_fingerprint") == level_brackets.fingerprint:
+                return int(store.attributes["interval"])
     except IntegrityError:
         raise
     except StoreError:  # begun without check pictures
@@ -122,7 +122,7 @@ class Watcher:
         None before level 0 is merged; check pictures are not compared then.
     check_brackets : BracketSet
         Brackets of the check pictures.
-    frames : StoredPictures
+    store : StoredPictures
         The check pictures so far, open for writing.
     interval : int
         Patterns from one check picture to the next.
@@ -135,7 +135,7 @@ class Watcher:
     level_brackets: BracketSet
     references: ReferenceImages | None
     check_brackets: BracketSet
-    frames: StoredPictures
+    store: StoredPictures
     interval: int
     is_refusing: bool
 
@@ -154,16 +154,16 @@ class Watcher:
         """
         is_last = position == self.level_brackets.count
         index = self.check_brackets.count - 1 if is_last else position // self.interval
-        if self.frames.done[index]:
+        if self.store.done[index]:
             return
         bracket = self._take(index)
         if self.references is not None:
             self._compare(self.references, position, index, bracket)
-        self.frames.write(index, bracket)
+        self.store.write(index, bracket)
 
     def entries(self) -> dict[str, Any]:
         """Return the entries of the check pictures for the level's manifest."""
-        entry = self.check_brackets.entry(self.frames)
+        entry = self.check_brackets.entry(self.store)
         return {CHECK_PICTURES: {**entry, "interval": self.interval}}
 
     def _take(self, index: int) -> NDArray[Any]:
@@ -177,8 +177,8 @@ class Watcher:
         if first is None:
             return
         previous_gain = np.ones(first.radiance.shape[-1])
-        if index and self.frames.done[index - 1]:
-            previous = self.frames.read(index - 1, index)
+        if index and self.store.done[index - 1]:
+            previous = self.store.read(index - 1, index)
             previous_gain = compare_pictures(references, first, previous).gain
         if _exceeds_drift(compare_pictures(references, first, bracket), previous_gain):
             place = f"{level_name(self.level_brackets.level)}, before pattern {position}"

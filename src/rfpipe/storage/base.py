@@ -192,7 +192,7 @@ class PictureStorage(Protocol):
         fingerprint: str,
         attributes: Attributes,
     ) -> AbstractContextManager[StoredPictures]:
-        """Open brackets for writing; made if there are none."""
+        """Open a store of brackets for writing; create it if there is none."""
 
     def record_images(
         self, level: int, shape: tuple[int, ...], fingerprint: str, layout: tuple[int, int]

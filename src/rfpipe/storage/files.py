@@ -291,7 +291,7 @@ class FolderStorage:
         fingerprint: str,
         attributes: Attributes,
     ) -> AbstractContextManager[PictureStore]:
-        """Open a store of brackets for writing; made if there is none."""
+        """Open a store of brackets for writing; create it if there is none."""
         path = self.store(level, part)
         brackets = PictureStore.create(path, shape, dtype, fingerprint, attributes)
         keep_header(path)
@@ -332,7 +332,7 @@ class FolderStorage:
         facts, fault = self._merged_facts(level)
         if not fault and facts["inputs"] != inputs:
             fault = (
-                f"the inputs of their merge changed ({differing(facts['made_of'], inputs)}). Set "
+                f"the inputs of their merge changed ({differing(facts['inputs'], inputs)}). Set "
                 "that back and run again: all merged images are still there, and manifests that "
                 "are missing are made again"
             )
@@ -489,7 +489,7 @@ def _refuse_or_warn(
             f"take these patterns again (the old ones {fate})",
         )
     _log.warning(
-        "%s: CAPTURING ANEW, since the settings changed (%s). The %d patterns captured with "
+        "%s: CAPTURING AGAIN, since the settings changed (%s). The %d patterns captured with "
         "the old settings %s", path, changed, captured, fate,
     )  # fmt: skip
 
