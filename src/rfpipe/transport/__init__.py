@@ -1,4 +1,4 @@
-"""Light transport: what the methods return, and what can be done with it.
+"""Light transport operators, their storage, and analyses of a scene that are based on them.
 
 All transports share the interface of `base.Transport`: relighting and analyses (`relightable`),
 products and entries (`algebra`), storage (`storage`). They differ in their form, the ``kind`` of a

@@ -450,7 +450,8 @@ def _denoise(measured, profiles, c, side, n, significance, target):  # type: ign
         result_y = max(g_y + alpha_y e_y, 0)
 
     The first term of alpha is the James-Stein weight of the whole piece. The second, of a single
-    pixel y, keeps differences beyond t = `significance` standard deviations, such as a highlight.
+    pixel y, keeps most of a difference far beyond t = `significance` standard deviations, such as a
+    highlight.
     Without a node above the result is ``max(x, 0)``.
     """
     start, size = measured.offsets[side, n], len(target)

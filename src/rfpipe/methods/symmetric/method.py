@@ -87,7 +87,7 @@ class SymmetricState(MethodState):
         """Return the leaves that the last level added, and the frontier.
 
         Level 0 adds one set of leaves. Each further level adds two: nodes of the previous level
-        that passed the rank test clearly, and leaves of its own level.
+        that passed the rank test clearly, and leaves of the last level.
         """
         arrays = {
             "unseen": self.unseen,

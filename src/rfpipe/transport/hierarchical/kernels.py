@@ -59,8 +59,8 @@ class Leaves(NamedTuple):
 class WorkSplit(NamedTuple):
     """Division of leaves into chunks of about equal work, and of these into runs.
 
-    Each chunk adds to an image of its own, so that chunks can be processed in parallel. A run stays
-    in the cache while a group of patterns is applied.
+    Each chunk has an output image, so that chunks can be processed in parallel. A run stays in the
+    cache while a group of patterns is applied.
 
     Attributes
     ----------
