@@ -9,7 +9,7 @@ symbol code      shape   meaning
 ====== ========= ======= =======================================================================
 w      earlier   (N, C)  the first check picture, radiance of N rays and C channels
 y      later     (N, C)  the check picture, radiance
-f      white     (N, C)  the floodlit image
+f      f         (N, C)  the floodlit image
 g      gain      (C,)    brightness of the lamp, relative to the first check picture
 a, b   room      (C,)    change of the room's light: uniform, and as the scene reflects it
 d      residual  ()      norm of the residual beyond noise, relative to w's; a shift by half a
@@ -161,6 +161,6 @@ def _fit_room_light(w: Double, y: Double, f: Double, noise: Double) -> _Fit:
         spread = room_weights @ inverse @ (terms.T * noise[:, channel])
         room_sum += float(room_weights @ solution)
         room_variance += float(spread @ terms @ inverse @ room_weights)
-    white = float(f.sum()) or 1.0
-    room_deviation = float(np.sqrt(max(room_variance, 0.0))) / white
-    return _Fit(gain, room_sum / white, room_deviation, residual)
+    total = float(f.sum()) or 1.0
+    room_deviation = float(np.sqrt(max(room_variance, 0.0))) / total
+    return _Fit(gain, room_sum / total, room_deviation, residual)

@@ -91,19 +91,19 @@ def sample_pixels(bracket: NDArray[Any], brackets: int = 1) -> Double:
 
 
 def faults_of_reference_brackets(
-    blacks: Double, whites: Double, camera: CameraModel
+    all_off: Double, all_on: Double, camera: CameraModel
 ) -> list[Fault]:
     """Return the faults in sampled all-off and all-on brackets, (K, E, n) each."""
-    late = _late_fault(blacks, whites)
+    late = _late_fault(all_off, all_on)
     if late is not None:
         return [late]
-    samples = Samples(whites, blacks.mean(axis=0))
+    samples = Samples(all_on, all_off.mean(axis=0))
     unsteady, moved = unsteadiness_of(samples, camera), motion_of(samples, camera)
     if moved is not None and (unsteady is None or unsteady.kind != "late"):
         return [moved]
     if unsteady is not None and unsteady.exceeds(CAPTURE):
         return [unsteady]
-    faults = [unsteady, _room_fault_of_references(blacks, samples, camera)]
+    faults = [unsteady, _room_fault_of_references(all_off, samples, camera)]
     return [fault for fault in faults if fault is not None]
 
 
@@ -190,9 +190,9 @@ def _flicker(samples: Samples, camera: CameraModel) -> float | None:
     return flicker_of(ratios[:, 0], ratios[:, 1], camera.exposures, _scatter, _SCATTER_SIGNIFICANCE)
 
 
-def _late_fault(blacks: Double, whites: Double) -> Fault | None:
+def _late_fault(all_off: Double, all_on: Double) -> Fault | None:
     """Return the fault of a first all-on picture that shows the all-off pattern before it."""
-    if len(whites) > 2 and is_of_previous(whites[0], blacks.mean(axis=0), whites[1:].mean(axis=0)):
+    if len(all_on) > 2 and is_of_previous(all_on[0], all_off.mean(axis=0), all_on[1:].mean(axis=0)):
         return late_fault(1.0, "the first all-on picture is dark")
     return None
 
@@ -241,19 +241,21 @@ def _scatter(values: Double) -> float:
     return float(np.median(np.abs(np.diff(values, n=2))) / (_MEDIAN_OF_NORMAL * np.sqrt(6)))
 
 
-def _room_fault_of_references(blacks: Double, whites: Samples, camera: CameraModel) -> Fault | None:
+def _room_fault_of_references(
+    all_off: Double, all_on: Samples, camera: CameraModel
+) -> Fault | None:
     """Return the fault of room light that changes among all-off or among all-on brackets."""
     seconds = camera.exposures
-    white = float(np.maximum(whites.counts[:, 0] - whites.black[0], 0).mean()) / seconds[0]
-    if white <= 0 or camera.response_gamma != 1:
+    light = float(np.maximum(all_on.counts[:, 0] - all_on.black[0], 0).mean()) / seconds[0]
+    if light <= 0 or camera.response_gamma != 1:
         return None
-    change, *_ = black_change(blacks, seconds, SATURATION_FRACTION * camera.white_level)
-    room, deviation = _room_light(whites, camera)
-    change_of_whites = float(np.ptp(room)) if len(room) else 0.0
-    if change_of_whites > SIGNIFICANCE * np.sqrt(2) * deviation:
-        change = max(change, change_of_whites)
-    count = len(blacks) + len(whites.counts)
-    fault = room_fault(change / white, f"in {count} all-off and all-on pictures")
+    change, *_ = black_change(all_off, seconds, SATURATION_FRACTION * camera.white_level)
+    room, deviation = _room_light(all_on, camera)
+    change_of_all_on = float(np.ptp(room)) if len(room) else 0.0
+    if change_of_all_on > SIGNIFICANCE * np.sqrt(2) * deviation:
+        change = max(change, change_of_all_on)
+    count = len(all_off) + len(all_on.counts)
+    fault = room_fault(change / light, f"in {count} all-off and all-on pictures")
     return fault if fault.exceeds(NOTED) else None
 
 

@@ -11,6 +11,6 @@ parts of a capture                                     brackets, watch
 jobs of the workflow, rigs without a server, forecasts job, offline, forecast
 ====================================================== =============================================
 
-The workflow runs the stages on files, as jobs. `rfpipe.acquire` runs those of the levels in memory,
-and the verification if pictures are requested; it doesn't relight.
+The workflow runs the stages on files, as jobs. `rfpipe.acquire` runs the stages of each level and
+assembles the transport in memory, and verifies it if pictures are requested. It doesn't relight.
 """

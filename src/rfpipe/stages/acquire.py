@@ -47,7 +47,8 @@ class AcquisitionResult:
     ----------
     transport : Transport
     patterns : int
-        Patterns shown, the floodlit one included, the all-off ones not.
+        Patterns of all levels, without those of reference brackets, symmetry test, check pictures
+        and verification.
     capture_seconds, processing_seconds : float
         Wall time of captures, and of everything else.
     saturated : int

@@ -131,7 +131,7 @@ def _capture_watched(rig: Rig, context: CaptureContext, brackets: BracketSet, ba
     interval = max(interval, sequence_patterns(rig)) if interval else 0
     with watching_level(rig, storage, brackets, settings.watch, interval) as watcher:
         if watcher and watcher.references and level != VERIFICATION:
-            # taken first: where it reports unsteady gain or light, misalignment can't be told apart
+            # taken first, since unsteady gain or light looks like misalignment
             watcher.before(0)
             check_calibration(
                 storage, level, watcher.references, brackets.settings["rig"],

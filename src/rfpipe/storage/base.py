@@ -16,8 +16,8 @@ Results:
   store of a stage, such as the sum of a level's images.
 - *manifest*: plain data about the result of a stage, written last: a stage with a manifest is
   complete. It consists of the stage's facts, the entry of its store, an entry per part under the
-  name of the part, the fingerprint, and the versions of rfpipe and its libraries; that of a
-  schedule has only facts, so that equal patterns have equal manifests.
+  name of the part, the fingerprint, and the versions of rfpipe and its libraries. The
+  manifest of a schedule has only facts, so that equal patterns have equal manifests.
 - *facts*: plain data by which a stage describes its result, such as units or number of patterns.
 - *entry*: plain data by which a manifest describes a store: its digest, and the shape and dtype of
   pictures.

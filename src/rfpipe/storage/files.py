@@ -272,11 +272,11 @@ class FolderStorage:
             _log.warning("%s: its header was damaged or missing; restored", path)
         set_aside = _name_aside(path, fingerprint)
         with StoreLock(path):
-            if path.exists():
-                with PictureStore.open(path) as old:
-                    if old.fingerprint == fingerprint:
-                        return
-                    _set_aside(path, old, fingerprint, attributes, when_changed)
+            old = PictureStore.open(path) if path.exists() else None
+            if old is not None:
+                if old.fingerprint == fingerprint:
+                    return
+                _set_aside(path, old, fingerprint, attributes, when_changed)
             if set_aside.exists():
                 set_aside.rename(path)
                 text = "%s: captured with these settings before; taken from %s"
@@ -455,7 +455,7 @@ def _set_aside(
 ) -> None:
     """Rename a store of another fingerprint; remove it if it has no brackets.
 
-    `fingerprint` and `attributes` are those of the brackets to be captured.
+    `fingerprint` and `attributes` are for the brackets to be captured.
     """
     captured = int(old.done.sum())
     place = _name_aside(path, old.fingerprint)
