@@ -13,8 +13,7 @@ from rfpipe.methods.near_far.method import NearFar
 class Auto(MethodDescription):
     """Near/far acquisition on coaxial rigs, footprint acquisition on all others and on views.
 
-    Both find out whether their model fits the light, and hand over to symmetric or dual photography
-    if it doesn't.
+    Both continue with symmetric or dual photography if their model doesn't fit the light.
     """
 
     name = "auto"

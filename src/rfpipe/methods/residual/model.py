@@ -1,7 +1,7 @@
 """The residual model: light that another model of the transport leaves unexplained.
 
-    T = T0 + f A K A^T f         coaxial rigs, K symmetric
-    T = T0 + f A K A'^T g        other rigs
+    T = T0 + f A K A^T f - diag(e)       coaxial rigs; K is symmetric, e = f A K A^T f 1
+    T = T0 + f A K A'^T g                other rigs
 
 T0 is the transport of any model: near/far, footprints, or a hierarchy. A and A' divide the pixels
 of the camera and of the projector into cells, at most 4096 on either side. K is the exchange of
@@ -14,9 +14,10 @@ isn't known. A root of the floodlit image is a compromise between it and a const
 derived. f and g are the roots of an image plus 2 % of its mean, scaled to a mean of 1
 (`root_factor`).
 
-During the fit, on coaxial rigs, cells have direct light d besides, which keeps it out of K; see
-`rfpipe.methods.residual.posterior`. It is not part of the returned T: the direct light of the
-acquired transport is the floodlit image minus all other parts.
+On coaxial rigs direct light is the floodlit image minus all other parts. It is computed again once
+there is a residual (`near_far_transport`), which subtracts e, the residual under full light. The
+fit to cells has an unknown d for the direct light of each cell, which keeps direct light out of K
+(`rfpipe.methods.residual.posterior`). It is not part of T.
 
 =========  ==================  ============  =======================================================
 symbol     name in the code    shape         meaning and unit
@@ -28,6 +29,7 @@ symbol     name in the code    shape         meaning and unit
 ``A, A'``  `cells.of_ray`      (M, M'),      1 where a pixel is in a cell, of M' camera and N'
                                (N, N')       projector cells
 ``K``                          (M', N')      exchange of light between cells, radiance
+``e``                          (C, M)        residual under full light, radiance
 ``W, W'``  `cells.haar`        (m, M'),      Haar transforms of the cells, orthonormal
                                (n, N')
 ``X``      `cores`             (C, pairs)    coefficients of the pairs of wavelets where they aren't
