@@ -50,7 +50,7 @@ def elsewhere(address: str) -> Resources:
 def captured(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> StagewiseAcquisition:
     """An acquisition with a captured level of 20 patterns, in runs of two."""
     monkeypatch.setattr(merging, "_CHUNK_BYTES", 1)
-    monkeypatch.setattr(merging, "_CHUNKS_PER_PIECE", 2)
+    monkeypatch.setattr(merging, "_CHUNKS_PER_FILE", 2)
     acquisition = StagewiseAcquisition(tmp_path / "mine", matrix_rig(noise=CAMERA))
     acquisition.plan = Plan.of("brute_force", "brute_force", (STAGED, STAGED, 1))
     acquisition.schedule(0)
@@ -196,7 +196,7 @@ def test_plain_tcp_to_another_machine_gives_a_warning(
         caplog.clear()
         with pytest.raises(ClusterError, match="no scheduler with workers"):
             connected(f"tcp://{host}:9", tmp_path).__enter__()
-        assert ("dask unpickles what it gets" in caplog.text) == is_warned, host
+        assert ("dask unpickles what it receives" in caplog.text) == is_warned, host
 
 
 @pytest.mark.slow
