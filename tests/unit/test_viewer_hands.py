@@ -43,7 +43,7 @@ def page(chromium: Any, symmetric: Path) -> Iterator[Any]:
 def settled(page: Any) -> None:
     """Wait until the picture agrees with the settings."""
     page.wait_for_timeout(50)
-    wait_until(page, "!going && !asked && document.body.dataset.shown === stateToHash(state)")
+    wait_until(page, "!running && !requested && document.body.dataset.shown === stateToHash(state)")
 
 
 def slide(page: Any, name: str, value: float) -> None:

@@ -49,9 +49,9 @@ def test_it_runs_in_the_workflow_with_rfpipe_s_own(of_ones_own: Workflow) -> Non
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"blur": 0}, "scenes.glass.blur is 0; it should be greater than 0"),
+        ({"blur": 0}, "scenes.glass.blur is 0; it should be above 0"),
         ({"blurr": 1}, "scenes.glass.blurr is unknown; did you mean blur?"),
-        ({"kind": f"{EXAMPLE}:Glass"}, "has no 'Glass'; expected a class in it"),
+        ({"kind": f"{EXAMPLE}:Glass"}, "has no 'Glass'"),
         ({"kind": "absent.py:Glass"}, "there is no file absent.py"),
     ],
 )
@@ -63,14 +63,14 @@ def test_mistakes_in_its_settings_are_explained(change, message: str) -> None:
 
 
 BROKEN = {
-    "syntax": ("x = 1\nclass Mine(:\n", "mine.py, line 2: SyntaxError", "mend the code"),
+    "syntax": ("x = 1\nclass Mine(:\n", "mine.py, line 2)", "correct the code"),
     "import": (
         "\nimport absent_package\n",
-        "mine.py, line 2: ModuleNotFound",
+        "mine.py, line 2)",
         "install absent_pac",
     ),
-    "name": ("from time import absent\n", "mine.py, line 1: ImportError", "mend the code"),
-    "value": ("x = 1\n\ny = 1 / 0\n", "mine.py, line 3: ZeroDivisionError", "mend the code"),
+    "name": ("from time import absent\n", "mine.py, line 1)", "correct the code"),
+    "value": ("x = 1\n\ny = 1 / 0\n", "mine.py, line 3)", "correct the code"),
 }
 
 
@@ -96,7 +96,7 @@ def test_code_that_cannot_be_imported_is_named_with_its_line(
 def test_an_error_in_a_scene_s_code_is_reported_as_a_mistake_of_settings(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text("class Mine(:\n")
-    with pytest.raises(ConfigError, match=r"scenes\.glass.*mine\.py, line 1: SyntaxError"):
+    with pytest.raises(ConfigError, match=r"scenes\.glass.*SyntaxError.*mine\.py, line 1"):
         parse_config({"scenes": {"glass": {"kind": f"{file}:Mine"}}}, "mine.yaml")
 
 
