@@ -5,7 +5,7 @@ from pathlib import Path
 
 import rfpipe
 from rfpipe.config import load_config, parse_config, read_yaml
-from rfpipe.errors import ConfigError
+from rfpipe.errors import ConfigError, RfpipeError
 from rfpipe.provenance import code_digest
 from rfpipe.storage.files import FolderStorage
 from rfpipe.jobs.snakemake import check_no_braces
@@ -150,3 +150,96 @@ def raw_to_drop(wildcards):
         if not of_scene(scene).capture.keep_raw
         and FolderStorage(Path("results", scene, method)).has_merged_raw()
     ]
+
+
+def scene_settings(wildcards):
+    """Settings of a scene that do not depend on its acquisition."""
+    return SETTINGS.scenes[wildcards.scene].scene_options()
+
+
+def every_view(wildcards):
+    """The viewer's page of each scene and method."""
+    return [
+        f"results/report/view/{scene}_{method}.html"
+        for scene, method in SETTINGS.acquisitions
+    ]
+
+
+def other_acquisitions(wildcards):
+    """The transports of a scene by its other methods."""
+    return [
+        f"results/{wildcards.scene}/{method}/transport.json"
+        for method in SETTINGS.methods_of(wildcards.scene)
+        if method != wildcards.method
+    ]
+
+
+def every_verification(wildcards):
+    """The verification of each scene and method, if there are to be any."""
+    return every_acquisition(
+        "verification.json", lambda scene: of_scene(scene).verification_pictures
+    )
+
+
+# The mean error of each acquisition above which the run fails, where there is such a bound.
+BOUNDS = {
+    f"{scene} by {method}": SETTINGS.bound_of(scene, method)
+    for scene, method in SETTINGS.acquisitions
+    if SETTINGS.bound_of(scene, method) is not None
+}
+
+
+def every_bounded(wildcards):
+    """The verification of each acquisition that has a bound, or else its transport."""
+    return [
+        f"results/{scene}/{method}/{name}.json"
+        for scene, method in SETTINGS.acquisitions
+        for name in [
+            "verification" if of_scene(scene).verification_pictures else "transport"
+        ]
+        if f"{scene} by {method}" in BOUNDS
+    ]
+
+
+def every_item(wildcards):
+    """Inputs of the catalogue besides the transports."""
+    relit = [
+        f"results/{scene}/{method}/relight.json"
+        for scene, method in SETTINGS.acquisitions
+        if SETTINGS.scenes[scene].has_truth
+    ]
+    return [*relit, *every_verification(wildcards), *every_view(wildcards)]
+
+
+def list_collection():
+    """Write the catalogue of a collection in its present state."""
+    if SETTINGS.collection is None:
+        return
+    from rfpipe.report.catalogue import write_catalogue
+
+    try:
+        counts = write_catalogue(SETTINGS, Path("results"))
+    except RfpipeError as error:  # a page more or less doesn't change how a run ended
+        print(f"rfpipe: no catalogue: {error}")
+        return
+    states = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
+    print(f"rfpipe: results/catalogue/index.html: {states}")
+
+
+def report_remaining(failures):
+    """Write the report of the acquisitions in which no job failed, in a run that keeps going."""
+    failed = {
+        (failure.scene, failure.method): failure
+        for failure in failures
+        if failure.scene
+    }
+    if not failed or len(failed) < len(failures) or not SETTINGS.has_report:
+        return
+    from rfpipe.report.partial import build_partial_report
+
+    try:
+        page = build_partial_report(SETTINGS, Path("results"), failed)
+    except RfpipeError as error:
+        print(f"rfpipe: no report of the remaining acquisitions: {error}")
+    else:
+        print(f"rfpipe: report of the remaining acquisitions: {page}" if page else "")

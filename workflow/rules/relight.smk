@@ -1,8 +1,3 @@
-def scene_settings(wildcards):
-    """Settings of a scene that do not depend on its acquisition."""
-    return SETTINGS.scenes[wildcards.scene].scene_options()
-
-
 rule relight:
     """The transport under the reference patterns, and the true pictures of the scene."""
     input:

@@ -1,30 +1,3 @@
-def every_verification(wildcards):
-    """The verification of each scene and method, if there are to be any."""
-    return every_acquisition(
-        "verification.json", lambda scene: of_scene(scene).verification_pictures
-    )
-
-
-# The mean error of each acquisition above which the run fails, where there is such a bound.
-BOUNDS = {
-    f"{scene} by {method}": SETTINGS.bound_of(scene, method)
-    for scene, method in SETTINGS.acquisitions
-    if SETTINGS.bound_of(scene, method) is not None
-}
-
-
-def every_bounded(wildcards):
-    """The verification of each acquisition that has a bound, or else its transport."""
-    return [
-        f"results/{scene}/{method}/{name}.json"
-        for scene, method in SETTINGS.acquisitions
-        for name in [
-            "verification" if of_scene(scene).verification_pictures else "transport"
-        ]
-        if f"{scene} by {method}" in BOUNDS
-    ]
-
-
 rule verification:
     """Errors of a transport on verification pictures of the same rig."""
     input:

@@ -2,24 +2,6 @@ import rfpipe
 from rfpipe.provenance import fingerprint
 from rfpipe.store.files import digest_of
 
-
-def every_view(wildcards):
-    """The viewer's page of each scene and method."""
-    return [
-        f"results/report/view/{scene}_{method}.html"
-        for scene, method in SETTINGS.acquisitions
-    ]
-
-
-def other_acquisitions(wildcards):
-    """The transports of a scene by its other methods."""
-    return [
-        f"results/{wildcards.scene}/{method}/transport.json"
-        for method in SETTINGS.methods_of(wildcards.scene)
-        if method != wildcards.method
-    ]
-
-
 # Digest of the viewer's code and web files.
 VIEWER = fingerprint(
     [
