@@ -92,7 +92,7 @@ def test_a_calibration_that_is_not_good_is_not_served(
     assert 0.3 * total < count < 0.7 * total
     verdicts = result.verdicts()
     assert f"The camera doesn't see {count} of {total} rays" in verdicts["rays"]["verdict"]
-    assert "leaves the camera's view at the right edge" in verdicts["scene"]["verdict"]
+    assert "extends beyond the camera's view at the right edge" in verdicts["scene"]["verdict"]
     assert "NOT GOOD" in (folder / "report.html").read_text(encoding="utf-8")
     refused = CliRunner().invoke(app, ["serve", str(rig)], env={"RFPIPE_TOKEN": "x" * 32})
     assert isinstance(refused.exception, ConfigError)

@@ -22,9 +22,9 @@ SETTINGS = {"scenes": {"tiny": {"kind": "plane", "shape": [2, 3]}}, "methods": {
 def test_a_run_in_a_folder_with_braces_is_refused(tmp_path: Path, name: str) -> None:
     workflow = Workflow(tmp_path / name, SETTINGS)
     output = workflow.run(TINY, succeeds=False)
-    assert f"the run's folder is {workflow.folder}; Snakemake takes braces" in output
+    assert f"the run's folder is {workflow.folder}; Snakemake reads braces" in output
     assert "Traceback" not in output
-    with pytest.raises(InputError, match=re.escape(f"{workflow.folder}; Snakemake takes braces")):
+    with pytest.raises(InputError, match=re.escape(f"{workflow.folder}; Snakemake reads braces")):
         run("run", "--directory", workflow.folder, "--configfile", workflow.config)
 
 
@@ -35,7 +35,7 @@ def test_a_workflow_in_a_folder_with_braces_is_refused(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "workflow", clone / "workflow")
     workflow = Workflow(tmp_path / "run", SETTINGS)
     output = workflow.run("--snakefile", str(clone / "Snakefile"), TINY, succeeds=False)
-    assert f"the workflow's folder is {clone}/workflow/rules; Snakemake takes braces" in output
+    assert f"the workflow's folder is {clone}/workflow/rules; Snakemake reads braces" in output
     assert "Traceback" not in output
 
 
@@ -43,5 +43,5 @@ def test_a_calibration_in_a_folder_with_braces_is_refused(tmp_path: Path) -> Non
     workflow = Workflow(tmp_path, {**SETTINGS, "rig_file": "rig.yaml"})
     (tmp_path / "rig.yaml").write_text(yaml.safe_dump({**RIG, "calibration": "mine{1}"}))
     output = workflow.run("calibrate", succeeds=False)
-    assert "rig.yaml: calibration is mine{1}; Snakemake takes braces" in output
+    assert "rig.yaml: calibration is mine{1}; Snakemake reads braces" in output
     assert "Traceback" not in output

@@ -230,6 +230,6 @@ def test_a_run_can_delete_its_raw_exposures(copy: Workflow, undisturbed: Workflo
     assert "patterns in" not in output
     assert list(folder.glob("L*/capture.zarr/c.*")) == []
     remaining, expected = copy.contents("tiny/symmetric"), undisturbed.contents("tiny/symmetric")
-    raw = re.compile(r"L\d\d/(capture|reference|symmetry)\.zarr/c\.")
+    raw = re.compile(r"L\d\d/(capture|reference_brackets|symmetry)\.zarr/c\.")
     assert {name for name in expected if name not in remaining} == set(filter(raw.match, expected))
     assert all(content == expected.get(name, content) for name, content in remaining.items())

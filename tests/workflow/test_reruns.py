@@ -118,6 +118,7 @@ def test_a_stage_can_be_forced_and_a_run_can_end_at_a_stage(copy: Workflow) -> N
         "merge": LEVELS,
         "normalize": LEVELS,
         "refine": LEVELS,
+        "schedule": LEVELS,  # of the next levels, and of the end
     }  # same bytes
     assert copy.contents("tiny/dual") == before
     shutil.rmtree(copy.path("tiny/dual"))

@@ -62,7 +62,7 @@ def test_the_last_line_names_failed_scenes_and_the_report_has_all_others(
     last = output.splitlines()[-1]
     assert last == f"rfpipe: failed: broken by dual, level 0, capture ({log})"
     page = workflow.path("report/index.html").read_text(encoding="utf-8")
-    assert "Left out, since a stage failed: broken by dual" in page
+    assert "Without acquisitions in which a stage failed: broken by dual" in page
     numbers = workflow.path("report/tables/errors.csv").read_text()
     assert "wall,dual" in numbers
     assert "broken" not in numbers

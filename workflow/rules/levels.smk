@@ -7,9 +7,13 @@ from rfpipe.store import read_manifest
 
 
 def refined(wildcards):
-    """The refinements of all levels of an acquisition; each schedule shows if there is a next."""
-    folder, refinements = f"results/{wildcards.scene}/{wildcards.method}", []
-    for level in count():
+    """The refinements of all levels of an acquisition; each schedule shows if there is a next.
+
+    Level 0 always has patterns; naming it first lets dry runs list its jobs.
+    """
+    folder = f"results/{wildcards.scene}/{wildcards.method}"
+    refinements = [f"{folder}/L00/refine.json"]
+    for level in count(1):
         scheduled = checkpoints.schedule.get(
             scene=wildcards.scene, method=wildcards.method, level=f"{level:02d}"
         )
