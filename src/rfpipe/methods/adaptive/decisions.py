@@ -52,6 +52,7 @@ test scenes, with glass, mirrors and gloss among them, 3.6 times, half of them 0
 
 NOT_SUITABLE = "the model doesn't fit the light"
 ALL_SHOWN = "all rounds are shown"
+CLOSE = "the error is close to the target"
 LIMIT_REACHED = "the largest number of patterns is reached"
 
 
@@ -156,6 +157,19 @@ def end(state: AdaptiveState) -> Decision | None:
     if 0 < state.options.patterns <= state.patterns_shown:
         return Decision(None, LIMIT_REACHED)
     return None
+
+
+def after_round_before_hierarchy(
+    state: AdaptiveState, phase: Phase, cost: HierarchyCost, *, is_last: bool
+) -> Decision:
+    """Decide after a round of a phase that only the hierarchy can follow."""
+    if not is_last and not exceeds_hierarchy(state, cost):
+        return Decision(phase)
+    if is_nearly_met(state):
+        return Decision(None, CLOSE)
+    if state.allows_hierarchy:
+        return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
+    return Decision(None, ALL_SHOWN) if is_last else Decision(phase)
 
 
 def after_hierarchy_residual_round(state: AdaptiveState, is_last: bool) -> Decision:

@@ -17,13 +17,11 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Bools, Float
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
-    ALL_SHOWN,
     NOT_SUITABLE,
     Decision,
     HierarchyCost,
     after_hierarchy_residual_round,
-    exceeds_hierarchy,
-    is_nearly_met,
+    after_round_before_hierarchy,
 )
 from rfpipe.methods.adaptive.loop import AdaptiveMethod, Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
@@ -286,10 +284,4 @@ def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
         return Decision(Phase.HIERARCHY, NOT_SUITABLE)
     if not state.model.is_suitable:
         return Decision(None, NOT_SUITABLE)
-    if not is_last and not exceeds_hierarchy(state, HIERARCHY):
-        return Decision(Phase.MODEL)
-    if is_nearly_met(state):
-        return Decision(None, "the error is close to the target")
-    if state.allows_hierarchy:
-        return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
-    return Decision(None, ALL_SHOWN) if is_last else Decision(Phase.MODEL)
+    return after_round_before_hierarchy(state, Phase.MODEL, HIERARCHY, is_last=is_last)

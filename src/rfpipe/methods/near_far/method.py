@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
-    ALL_SHOWN,
+    CLOSE,
     NOT_SUITABLE,
     Decision,
     HierarchyCost,
     after_hierarchy_residual_round,
+    after_round_before_hierarchy,
     exceeds_hierarchy,
     has_stalled,
     is_mostly_noise,
@@ -58,7 +59,6 @@ leaves 2 to 8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."
 HIERARCHY = HierarchyCost(patterns=30.0, power=0.55, tolerance=0.6)
 
 _NOISE = "the remaining error is noise of the floodlit image"
-_CLOSE = "the error is close to the target"
 
 
 @dataclass(frozen=True)
@@ -205,7 +205,7 @@ class NearFar(AdaptiveMethod):
         # after the hierarchy, its cost is the most that further rounds may take to improve an error
         # that is close to the target
         if is_nearly_met(state) and exceeds_hierarchy(state, HIERARCHY):
-            return Decision(None, _CLOSE)
+            return Decision(None, CLOSE)
         return after_hierarchy_residual_round(state, is_last)
 
 
@@ -226,10 +226,4 @@ def _after_residual_round(state: AdaptiveState, is_last: bool) -> Decision:
     """Decide after a round of the model's residual whose error is above the target."""
     if is_last and is_mostly_noise(state):
         return Decision(None, _NOISE)
-    if not is_last and not exceeds_hierarchy(state, HIERARCHY):
-        return Decision(Phase.RESIDUAL)
-    if is_nearly_met(state):
-        return Decision(None, _CLOSE)
-    if state.allows_hierarchy:
-        return Decision(Phase.HIERARCHY, "more rounds would take more patterns")
-    return Decision(None, ALL_SHOWN) if is_last else Decision(Phase.RESIDUAL)
+    return after_round_before_hierarchy(state, Phase.RESIDUAL, HIERARCHY, is_last=is_last)
