@@ -26,6 +26,7 @@ from rfpipe.scenes import Scene, scene_from_config
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.settings import plan_settings
 from rfpipe.stages.verification import verify
+from rfpipe.storage.base import scheduled_levels
 from rfpipe.storage.files import FolderStorage
 from rfpipe.store import open_arrays
 from rfpipe.store.files import write_atomically
@@ -84,7 +85,7 @@ def curve(
     plan = Plan.of(**plan_settings(config, name, method))
     plan = plan.for_measured_rig(folder)
     dark = patterns == 0 if config.scenes[name].is_coaxial else None
-    levels = list(folder.levels())
+    levels = list(scheduled_levels(folder))
     for level in levels:
         state = plan.restored_state(folder, level + 1)
         transport = plan.method.transport(state)

@@ -28,7 +28,7 @@ from rfpipe.report.text import number, rounded_percent, size
 from rfpipe.scenes import RELIGHTING_PATTERNS
 from rfpipe.stages import evaluate, relight
 from rfpipe.stages.verification import compare_with_captured
-from rfpipe.storage.files import write_result
+from rfpipe.storage.results import write_result
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
 

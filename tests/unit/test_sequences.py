@@ -17,7 +17,8 @@ from rfpipe.stages.capture import bracket_sets
 from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.stages.settings import AcquisitionSettings
-from rfpipe.storage.files import FolderStorage, write_result
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.results import write_result
 from rfpipe.store import PictureStore
 from rfpipe.testing import RigContract
 from rfpipe.units import BLACK_LEVEL_KEY, SEQUENCE_KEY

@@ -28,7 +28,7 @@ from rfpipe.stages.context import Acquisition
 from rfpipe.stages.plan import Plan
 from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.stages.settings import AcquisitionSettings
-from rfpipe.storage.files import write_result
+from rfpipe.storage.results import write_result
 from rfpipe.jobs.workers import Resources
 
 shape, count = (40, 50), int(sys.argv[2])

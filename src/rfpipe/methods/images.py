@@ -14,6 +14,7 @@ from rfpipe.array_types import Float
 from rfpipe.methods.base import SIGNIFICANCE, LevelImages
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
+from rfpipe.ranges import ranges
 from rfpipe.transport.base import Transport
 
 _BATCH_BYTES = 32 * 2**20
@@ -27,14 +28,13 @@ class ScheduledImages(NamedTuple):
     read: Callable[[int, int], tuple[Float, Float]]
 
 
-def batches(count: int, image_size: int) -> Iterator[tuple[int, int]]:
-    """Yield the ranges ``first, last + 1`` of patterns whose images fit into a batch.
+def batches(count: int, image_size: int) -> list[tuple[int, int]]:
+    """List the ranges ``first, last + 1`` of patterns whose images fit into a batch.
 
     `image_size` is the number of values of an image.
     """
     step = max(1, _BATCH_BYTES // (image_size * np.dtype(np.float32).itemsize))
-    for first in range(0, count, step):
-        yield first, min(first + step, count)
+    return ranges(count, step)
 
 
 def planar_batches(

@@ -25,6 +25,7 @@ from rfpipe.mitsuba.variant import variant_versions
 from rfpipe.mitsuba.views import Side
 from rfpipe.mitsuba.world import TracingOptions
 from rfpipe.provenance import versions
+from rfpipe.ranges import ranges
 from rfpipe.steps import step, steps
 from rfpipe.store import open_arrays, write_arrays
 from rfpipe.store.lock import StoreLock
@@ -260,7 +261,7 @@ def _cut(count: int, length: int, samples: int) -> list[tuple[int, int]]:
     A row has at most `length` entries, and about two per path.
     """
     size = max(1, _PIECE_BYTES // (16 * min(length, 2 * samples)))
-    return [(first, min(first + size, count)) for first in range(0, count, size)]
+    return ranges(count, size)
 
 
 def _trace_piece(

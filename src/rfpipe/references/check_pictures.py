@@ -16,7 +16,7 @@ from rfpipe.calibration.symmetry import random_signs
 from rfpipe.errors import StoreError
 from rfpipe.photometry.sensor import MergedImages
 from rfpipe.references.reference_images import ReferenceImages
-from rfpipe.storage.base import CHECK_PICTURES, Storage
+from rfpipe.storage.base import CHECK_PICTURES, Storage, scheduled_levels
 
 
 def check_picture_count(patterns: int, interval: int) -> int:
@@ -38,7 +38,7 @@ def check_pattern(projector_shape: tuple[int, ...]) -> NDArray[np.float32]:
 
 def first_check_picture(storage: Storage, references: ReferenceImages) -> MergedImages | None:
     """Merge the acquisition's first check picture; None where there is none."""
-    for level in storage.levels():
+    for level in scheduled_levels(storage):
         with suppress(StoreError), storage.partial_brackets(level, CHECK_PICTURES) as store:
             if store.done[0]:
                 return references.merge(store.read(0, 1))

@@ -24,7 +24,7 @@ from rfpipe.rigs.faults import (
     SIGNIFICANCE,
     room_fault,
 )
-from rfpipe.storage.base import CHECK_PICTURES, Storage, level_name
+from rfpipe.storage.base import CHECK_PICTURES, Storage, level_name, scheduled_levels
 
 _log = logging.getLogger(__name__)
 
@@ -126,7 +126,7 @@ def _gains_so_far(
     times : ndarray of float64, shape (n,)
         Number of pictures taken before each check picture.
     """
-    earlier = [above for above in storage.levels() if above < level]
+    earlier = [above for above in scheduled_levels(storage) if above < level]
     merged = {above: storage.read_manifest(above, "merge") for above in earlier}
     series = [
         (np.asarray(facts[CHECK_PICTURES]["gain"]), facts[CHECK_PICTURES]["interval"], facts)

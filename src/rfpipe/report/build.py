@@ -12,7 +12,7 @@ from rfpipe.report import glance, leaves, setup, verification
 from rfpipe.report.inputs import ReportInputs, load_inputs
 from rfpipe.report.page import Section, write_page
 from rfpipe.report.text import STANDING_COLOURS, ray_size
-from rfpipe.storage.files import FILES, write_files
+from rfpipe.storage.results import FILES, write_files
 from rfpipe.store.files import write_atomically
 
 _SUFFIXES = (".csv", ".exr", ".html", ".json", ".pdf", ".png", ".tex")

@@ -16,7 +16,7 @@ from typing import Any
 from rfpipe.errors import DamagedStageError
 from rfpipe.stages import assemble, capture, merge, normalize, refine, schedule
 from rfpipe.stages.context import Acquisition
-from rfpipe.storage.files import clear
+from rfpipe.storage.damage import clear
 
 _log = logging.getLogger(__name__)
 

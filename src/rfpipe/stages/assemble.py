@@ -11,8 +11,9 @@ from rfpipe.provenance import fingerprint, versions
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.context import Acquisition
 from rfpipe.stages.normalize import masked_rays
-from rfpipe.storage.base import REFERENCE_IMAGES
-from rfpipe.storage.files import FolderStorage, current_manifest
+from rfpipe.storage.base import REFERENCE_IMAGES, scheduled_levels
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.results import current_manifest
 from rfpipe.store import write_manifest
 from rfpipe.transport import Transport, save_transport
 from rfpipe.transport.filling import fill_from_transpose
@@ -23,7 +24,7 @@ def run(acquisition: Acquisition) -> None:
     """Write the transport, in a format of `rfpipe.transport.save_transport`, and its manifest."""
     plan, storage, settings = acquisition.plan, acquisition.storage, acquisition.settings
     assert isinstance(storage, FolderStorage)
-    levels = list(storage.levels())
+    levels = list(scheduled_levels(storage))
     inputs = {
         "refine": [[level, storage.read_manifest(level, "refine")["digest"]] for level in levels],
         "references": storage.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"],

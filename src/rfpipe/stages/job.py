@@ -21,7 +21,8 @@ from rfpipe.stages.settings import (
     AcquisitionSettings,
     operating_settings_from_text,
 )
-from rfpipe.storage.files import FolderStorage, clear
+from rfpipe.storage.damage import clear
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock
 
 _BEFORE_SYMMETRY = ("acquire", "schedule")

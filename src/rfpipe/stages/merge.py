@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from rfpipe.jobs.job import Progress
 from rfpipe.photometry.sensor import MergedImages, Sensor
 from rfpipe.provenance import fingerprint, versions
+from rfpipe.ranges import ranges
 from rfpipe.references.drift import measure_drift
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.references.initial_brightness import divide_floodlit, measure_initial_brightness
@@ -39,6 +40,7 @@ from rfpipe.storage.base import (
     Facts,
     Storage,
     level_name,
+    scheduled_levels,
 )
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
 
@@ -144,7 +146,7 @@ def file_ranges(count: int, image_shape: tuple[int, ...]) -> list[tuple[int, int
     threads or cluster, so that a level's sum, the sum over its files, has the same bits everywhere.
     """
     step = _CHUNKS_PER_FILE * chunk_patterns(image_shape)
-    return [(first, min(first + step, count)) for first in range(0, count, step)]
+    return ranges(count, step)
 
 
 def _measure_and_write_references(
@@ -278,7 +280,7 @@ def _merge_images(
 
 def drop_raw(storage: Storage) -> None:
     """Remove the brackets of all merged levels, and of the verification pictures."""
-    for level in (*storage.levels(), VERIFICATION):
+    for level in (*scheduled_levels(storage), VERIFICATION):
         if storage.exists(level, "merge"):
             storage.drop_raw(level)
 

@@ -37,7 +37,7 @@ from rfpipe.stages.verification import (
     verification_context,
     verification_schedule,
 )
-from rfpipe.storage.base import VERIFICATION, folder_name
+from rfpipe.storage.base import VERIFICATION, folder_name, scheduled_levels
 from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock
 
@@ -100,7 +100,7 @@ class OfflineAcquisition:
                 acquire_transport(acquisition)
             except PicturesNeeded:
                 self._capture_verification(acquisition)
-                return max(self.files.levels())
+                return max(scheduled_levels(self.files))
             return None if self._capture_verification(acquisition) else VERIFICATION
 
     def write(

@@ -17,7 +17,8 @@ from rfpipe.errors import IntegrityError
 from rfpipe.provenance import fingerprint
 from rfpipe.references.reference_images import read_floodlit
 from rfpipe.relighting import KINDS, picture_squared_norms, relighting_pictures
-from rfpipe.storage.files import FolderStorage, write_result
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.results import write_result
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.transport import Transport, open_transport
 from rfpipe.transport.hierarchical.transport import HierarchicalTransport

@@ -34,8 +34,10 @@ from rfpipe.storage.base import (
     VERIFICATION_MANIFEST,
     Storage,
     level_name,
+    scheduled_levels,
 )
-from rfpipe.storage.files import FolderStorage, write_result
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.results import write_result
 from rfpipe.store import read_manifest
 from rfpipe.text import counted, percent
 from rfpipe.transport import Transport, open_transport
@@ -190,7 +192,7 @@ def verification_context(context: CaptureContext, pictures: int) -> CaptureConte
     Check pictures are taken before the first and after the last picture, if levels had any.
     """
     storage = context.storage
-    captured = [level for level in storage.levels() if storage.exists(level, "capture")]
+    captured = [level for level in scheduled_levels(storage) if storage.exists(level, "capture")]
     is_watched = any(
         CHECK_PICTURES in storage.read_manifest(level, "capture") for level in captured
     )
@@ -361,7 +363,7 @@ def _finite(number: float) -> float | None:
 
 def _capture_facts(folder: FolderStorage, asymmetry: float) -> dict[str, Any]:
     """Summarize changes and saturation of all captures; None without check pictures."""
-    levels = [*folder.levels(), VERIFICATION]
+    levels = [*scheduled_levels(folder), VERIFICATION]
     merged = {level: folder.read_manifest(level, "merge") for level in levels}
     drifts = {
         level: facts[CHECK_PICTURES] for level, facts in merged.items() if CHECK_PICTURES in facts

@@ -33,12 +33,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import AbstractContextManager
+from itertools import count
 from pathlib import Path
 from typing import Any, Literal, Protocol
 
 import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
+from rfpipe.errors import IntegrityError
 from rfpipe.rigs import Rig
 from rfpipe.units import VERIFICATION_KEY
 
@@ -120,9 +122,6 @@ class ResultStorage(Protocol):
 
     def exists(self, level: int, stage: str) -> bool:
         """Test whether a stage of a level is complete."""
-
-    def levels(self) -> Iterator[int]:
-        """Yield the levels that are scheduled and have patterns, from level 0 on."""
 
     def read_manifest(self, level: int, stage: str) -> Manifest:
         """Read the manifest of a stage of a level."""
@@ -233,6 +232,24 @@ class CaptureServices(Protocol):
 
 class Storage(ResultStorage, PictureStorage, CaptureServices, Protocol):
     """Storage of one acquisition, in files (`FolderStorage`) or in memory (`MemoryStorage`)."""
+
+
+def scheduled_levels(storage: ResultStorage) -> Iterator[int]:
+    """Yield the levels that are scheduled and have patterns, from level 0 on.
+
+    They end before a damaged schedule, which is about to be written again.
+    """
+    for level in count():
+        try:
+            is_shown = (
+                storage.exists(level, "schedule")
+                and storage.read_manifest(level, "schedule")["patterns"]
+            )
+        except IntegrityError:
+            return
+        if not is_shown:
+            return
+        yield level
 
 
 def folder_name(level: int) -> str:

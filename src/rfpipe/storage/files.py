@@ -9,30 +9,27 @@ from __future__ import annotations
 
 import logging
 import time
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
-from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any
 
 import numpy as np
-from numpy.typing import DTypeLike, NDArray
+from numpy.typing import DTypeLike
 
 from rfpipe.errors import (
-    DamagedStageError,
     IntegrityError,
     LockedError,
     StaleStoreError,
     StoreError,
 )
-from rfpipe.provenance import versions
+from rfpipe.ranges import ranges
 from rfpipe.rigs import Rig
 from rfpipe.storage.base import (
     REFERENCE_BRACKETS,
     REFERENCE_IMAGES,
-    STAGES,
     SUMS,
     SYMMETRY,
     Arrays,
@@ -46,7 +43,10 @@ from rfpipe.storage.base import (
     level_name,
     rig_settings,
 )
+from rfpipe.storage.damage import raising_damage_of
 from rfpipe.storage.differences import differing
+from rfpipe.storage.results import current_manifest, write_result
+from rfpipe.storage.set_aside import name_aside, set_aside
 from rfpipe.storage.space import check_space
 from rfpipe.store import (
     ItemWriter,
@@ -63,7 +63,7 @@ from rfpipe.store import (
     write_arrays,
     write_manifest,
 )
-from rfpipe.store.files import digest_of, storage_errors, write_atomically
+from rfpipe.store.files import storage_errors, write_atomically
 from rfpipe.store.places import Place
 from rfpipe.transport.lazy import LazyArrays
 from rfpipe.units import RADIANCE, RADIANCE_UNIT
@@ -78,56 +78,7 @@ Snakemake runs all stages again; no picture is taken again.
 BY_PRODUCTS = (".log", ".benchmark.tsv", ".tmp")
 """Ends of the names of files beside results that no result depends on."""
 
-FILES = "files.json"
-"""Name of the manifest of a report's files."""
-
-_FINGERPRINT_DIGITS = 12  # in the name of a store that is set aside
-
 _log = logging.getLogger(__name__)
-
-
-def current_manifest(manifest: Path, fingerprint: str) -> Manifest | None:
-    """Return a manifest if its store has a fingerprint, else None.
-
-    A manifest of another fingerprint, or a damaged one, is removed, since its store is about to
-    change.
-    """
-    store = manifest.with_suffix(".zarr")
-    try:
-        facts = read_manifest(manifest)
-        # the manifest of a schedule has no fingerprint
-        attributes = facts if "fingerprint" in facts else open_arrays(store).attributes
-    except IntegrityError as error:
-        _log.warning("written again, since it is damaged: %s", error)
-    except StoreError:
-        pass
-    else:
-        if attributes.get("fingerprint") == fingerprint and store.exists():
-            return facts
-    manifest.unlink(missing_ok=True)
-    return None
-
-
-def write_result(
-    manifest: Path,
-    fingerprint: str,
-    arrays: Mapping[str, NDArray[Any]],
-    facts: Facts,
-    **attributes: Any,
-) -> None:
-    """Write arrays and, beside them, a manifest of `facts`; `attributes` are for the store."""
-    store = manifest.with_suffix(".zarr")
-    stamp = {"fingerprint": fingerprint, "versions": versions()}
-    write_arrays(store, arrays, {"facts": facts, **stamp, **attributes})
-    write_manifest(manifest, {**facts, **open_arrays(store).entry(), **stamp})
-
-
-def write_files(manifest: Path, files: Iterable[Path]) -> None:
-    """Write a manifest with the digests of files that lie beside it or below."""
-    digests = {
-        path.relative_to(manifest.parent).as_posix(): digest_of(path.read_bytes()) for path in files
-    }
-    write_manifest(manifest, {"files": digests})
 
 
 @dataclass(frozen=True)
@@ -238,7 +189,7 @@ class FolderStorage:
         """List the runs of the `count` brackets that aren't captured, of at most `longest`."""
         path = self.store(level, part)
         if not path.exists():
-            return [(first, min(first + longest, count)) for first in range(0, count, longest)]
+            return ranges(count, longest)
         with PictureStore.open(path) as brackets:
             return list(brackets.missing(longest))
 
@@ -270,17 +221,17 @@ class FolderStorage:
         path = self.store(level, part)
         if path.exists() and restore_header(path):
             _log.warning("%s: its header was damaged or missing; restored", path)
-        set_aside = _name_aside(path, fingerprint)
+        former = name_aside(path, fingerprint)
         with StoreLock(path):
             old = PictureStore.open(path) if path.exists() else None
             if old is not None:
                 if old.fingerprint == fingerprint:
                     return
-                _set_aside(path, old, fingerprint, attributes, when_changed)
-            if set_aside.exists():
-                set_aside.rename(path)
+                set_aside(path, old, fingerprint, attributes, when_changed)
+            if former.exists():
+                former.rename(path)
                 text = "%s: captured with these settings before; taken from %s"
-                _log.warning(text, path, set_aside)
+                _log.warning(text, path, former)
 
     def record_brackets(
         self,
@@ -430,111 +381,6 @@ class FolderStorage:
             f"all captured pictures are kept. To start over: '{self.retake_command()}', with the "
             f"run's other options. {level_advice}capture.watch: warn continues despite it"
         )
-
-    def levels(self) -> Iterator[int]:
-        """Yield the levels that are scheduled and have patterns, from level 0 on."""
-        for level in count():
-            try:
-                is_shown = (
-                    self.exists(level, "schedule")
-                    and self.read_manifest(level, "schedule")["patterns"]
-                )
-            except IntegrityError:  # it is about to be written again
-                return
-            if not is_shown:
-                return
-            yield level
-
-
-def _set_aside(
-    path: Path,
-    old: PictureStore,
-    fingerprint: str,
-    attributes: Attributes,
-    when_changed: WhenChanged,
-) -> None:
-    """Rename a store of another fingerprint; remove it if it has no brackets.
-
-    `fingerprint` and `attributes` are for the brackets to be captured.
-    """
-    captured = int(old.done.sum())
-    place = _name_aside(path, old.fingerprint)
-    if captured and not _name_aside(path, fingerprint).exists():
-        _refuse_or_warn(path, old, place, attributes, when_changed)
-    PictureStore.discard(place)  # of a change that was undone before it was captured
-    path.rename(place)
-    if old.dropped or not captured:
-        PictureStore.discard(place)
-
-
-def _name_aside(path: Path, fingerprint: str) -> Path:
-    """Return the path of a store of this fingerprint that is set aside."""
-    return path.with_name(f"{path.stem}.{fingerprint[:_FINGERPRINT_DIGITS]}{path.suffix}")
-
-
-def _refuse_or_warn(
-    path: Path, old: PictureStore, place: Path, attributes: Attributes, when_changed: WhenChanged
-) -> None:
-    """Refuse to capture patterns again whose settings changed, or warn of it."""
-    changed, captured = differing(old.attributes, attributes), int(old.done.sum())
-    fate = (
-        "were dropped after their merge (capture.keep_raw)"
-        if old.dropped
-        else f"are kept in {place}, for when you go back to them; remove it to free the space"
-    )
-    if when_changed == "refuse":
-        raise StaleStoreError(
-            f"{path}: holds {captured} captured patterns of other settings ({changed})",
-            remedy="restore those settings, or set capture.when_patterns_change to recapture to "
-            f"take these patterns again (the old ones {fate})",
-        )
-    _log.warning(
-        "%s: CAPTURING AGAIN, since the settings changed (%s). The %d patterns captured with "
-        "the old settings %s", path, changed, captured, fate,
-    )  # fmt: skip
-
-
-@contextmanager
-def raising_damage_of(manifest: Path) -> Iterator[None]:
-    """Raise DamagedStageError for a `StoreError`: its stage runs again without its manifest."""
-    try:
-        yield
-    except StoreError as error:
-        remedy = f"{error.remedy}. To do so, remove {manifest} and run again"
-        raise DamagedStageError(
-            error.what,
-            value=error.value,
-            place=error.place,
-            remedy=remedy.removeprefix(". "),
-            manifest=manifest,
-        ) from error
-
-
-def clear(error: DamagedStageError) -> bool:
-    """Remove the manifest of a damaged stage, so that the stage runs again; return whether it does.
-
-    The manifests of the following stages of its level are removed, too. Captures stay, since only
-    the user knows whether the scene is still in place; of a capture, damaged headers are restored.
-    """
-    manifest = error.manifest
-    if manifest.stem == "capture":
-        restored = [restore_header(store) for store in manifest.parent.glob("*.zarr")]
-        if not any(restored):
-            return False
-    for path in with_followers(manifest):
-        path.unlink(missing_ok=True)
-    return True
-
-
-def with_followers(manifest: Path) -> list[Path]:
-    """Return the manifests of a stage and of the following stages of its level.
-
-    Snakemake makes a missing file again only if a file that follows from it is missing, too.
-    """
-    if manifest.stem not in STAGES:
-        return [manifest]
-    followers = STAGES[STAGES.index(manifest.stem) :]
-    return [manifest.with_name(f"{stage}.json") for stage in followers]
 
 
 def _check_digest(path: Path | Place, digest: str, expected: Entry) -> None:

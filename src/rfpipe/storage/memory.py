@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
-from itertools import count
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,6 +13,7 @@ import numpy as np
 from numpy.typing import DTypeLike, NDArray
 
 from rfpipe.errors import StoreError
+from rfpipe.ranges import ranges
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import is_simulated
 from rfpipe.storage.base import (
@@ -96,7 +96,7 @@ class MemoryStorage:
     def missing_brackets(
         self, level: int, part: str, count: int, longest: int
     ) -> list[tuple[int, int]]:
-        return _runs(count, longest)
+        return ranges(count, longest)
 
     def make_room(
         self,
@@ -156,13 +156,6 @@ class MemoryStorage:
         yield
         self.seconds[stage] += perf_counter() - began
 
-    def levels(self) -> Iterator[int]:
-        for level in count():
-            schedule = self._manifests.get((level, "schedule"))
-            if not schedule or not schedule["patterns"]:
-                return
-            yield level
-
 
 class MemoryPictures:
     """Pictures in memory, as `rfpipe.storage.base.StoredPictures` and `rfpipe.store.ItemWriter`."""
@@ -174,7 +167,8 @@ class MemoryPictures:
         self._items = np.empty(shape, dtype)
 
     def missing(self, longest: int | None = None) -> list[tuple[int, int]]:
-        return _runs(self.shape[0], longest or self.shape[0])
+        items = self.shape[0]
+        return ranges(items, longest or max(1, items))
 
     def write(self, start: int, block: NDArray[Any]) -> None:
         self._items[start : start + len(block)] = block
@@ -201,7 +195,3 @@ class MemoryPictures:
 
     def entry(self) -> Entry:
         return {"digest": "", "dtype": self.dtype.str, "shape": list(self.shape)}
-
-
-def _runs(count: int, longest: int) -> list[tuple[int, int]]:
-    return [(first, min(first + longest, count)) for first in range(0, count, max(1, longest))]

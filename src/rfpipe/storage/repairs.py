@@ -10,7 +10,8 @@ from typing import Literal, NamedTuple
 from rfpipe.calibration.steps import STEPS
 from rfpipe.rigs.calibrated import FACTS
 from rfpipe.storage.base import VERIFICATION_FOLDER, VERIFICATION_MANIFEST
-from rfpipe.storage.files import FILES, with_followers
+from rfpipe.storage.damage import with_followers
+from rfpipe.storage.results import FILES
 from rfpipe.storage.run_record import RUN_RECORD, rerun_command
 from rfpipe.store.places import Place
 

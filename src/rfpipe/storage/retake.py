@@ -18,8 +18,10 @@ from rfpipe.storage.base import (
     VERIFICATION,
     VERIFICATION_FOLDER,
     VERIFICATION_MANIFEST,
+    scheduled_levels,
 )
-from rfpipe.storage.files import FolderStorage, with_followers
+from rfpipe.storage.damage import with_followers
+from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock, is_dropped
 from rfpipe.text import similar_names
 
@@ -116,7 +118,7 @@ class Retake:
         first = "merge" if self.level == 0 else "refine"
         below = [
             folder.manifest(level, stage)
-            for level in reversed(list(folder.levels()))
+            for level in reversed(list(scheduled_levels(folder)))
             if level > self.level
             for stage in reversed(STAGES[STAGES.index(first) :])
         ]

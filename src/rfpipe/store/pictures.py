@@ -18,6 +18,7 @@ from rfpipe.errors import (
     StaleStoreError,
     StoreError,
 )
+from rfpipe.ranges import ranges
 from rfpipe.store.chunks import damaged_metadata, read_attributes
 from rfpipe.store.files import (
     canonical_data,
@@ -193,11 +194,7 @@ class PictureStore:
         if longest is None:
             return runs
         step = max(1, longest // self.items_per_file) * self.items_per_file
-        return [
-            (first, min(first + step, stop))
-            for start, stop in runs
-            for first in range(start, stop, step)
-        ]
+        return [part for start, stop in runs for part in ranges(stop, step, start)]
 
     def write(self, start: int, block: NDArray[Any]) -> None:
         """Write items, then enter them in the journal.

@@ -22,6 +22,7 @@ from rfpipe.methods.symmetric.nodes import (
     Pairs,
     compared_pixels,
 )
+from rfpipe.ranges import ranges
 from rfpipe.transport.hierarchical.apply import predict
 from rfpipe.transport.hierarchical.leaves import LeafSet, runs
 
@@ -209,12 +210,11 @@ def residual_pieces(
 
 def _pattern_batches(
     tree: BlockTree, channels: int, count: int, memory_bytes: int
-) -> Iterator[tuple[int, int]]:
-    """Yield the first pattern and the end of batches whose images take an eighth of the memory."""
+) -> list[tuple[int, int]]:
+    """List the first pattern and the end of batches whose images take an eighth of the memory."""
     bytes_per_pattern = channels * tree.domain.size * np.dtype(np.float32).itemsize * _IMAGE_COPIES
     batch = min(max(1, memory_bytes // (8 * bytes_per_pattern)), _MOST_PATTERNS_PER_BATCH)
-    for first in range(0, count, batch):
-        yield first, min(first + batch, count)
+    return ranges(count, batch)
 
 
 def _planar(image: Float, tree: BlockTree, channels: int) -> Float:
