@@ -82,7 +82,7 @@ def test_kernels_of_a_read_only_installation_compile_without_a_home(tmp_path: Pa
         (folder / "__pycache__").touch()  # a file, so that even root can't cache there
     environment = {name: value for name, value in os.environ.items() if name not in VARIABLES}
     environment |= {"HOME": "/dev/null/home", "PYTHONPATH": str(tmp_path), "TMPDIR": str(tmp_path)}
-    code = "import rfpipe.methods.symmetric.kernels; print(rfpipe.__file__)"
+    code = "import rfpipe.methods.symmetric.piece_kernels; print(rfpipe.__file__)"
     command = [sys.executable, "-c", code]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr

@@ -38,6 +38,9 @@ A level l passes through these modules:
   and unknown nodes.
 - `method`: the method that connects these steps, and its state.
 
+The compiled loops of three steps are in `piece_kernels`, `rank_test_kernels` and
+`classification_kernels`.
+
 The records between these steps; those in brackets are the arguments of kernels::
 
     SymmetricState.frontier              unknown nodes of level l - 1

@@ -79,9 +79,9 @@ def classify(
     Pairs without significant light are empty. Pairs with too little light to be worth patterns are
     leaves, since the light of many of them adds up; at the last level all pairs are scalar leaves.
     """
-    from rfpipe.methods.symmetric import kernels
+    from rfpipe.methods.symmetric import classification_kernels
 
-    energy, is_significant = kernels.pair_energies(
+    energy, is_significant = classification_kernels.pair_energies(
         pieces, candidates.pair, limits.significance**2, limits.squared_level_significance
     )
     is_final = candidates.is_final | ~is_significant.any(axis=0)
@@ -111,17 +111,18 @@ def _estimate(
     """Return pairs as nodes with rank-1 estimates, and which of them are leaves, bool (n,).
 
     A node is a leaf without further patterns where its rank test can't fail (the bound of
-    `kernels.estimate_pieces`), or where a block is a single ray, so that its rank is 1.
+    `classification_kernels.estimate_pieces`), or where a block is a single ray, so that its rank
+    is 1.
     """
-    from rfpipe.methods.symmetric import kernels
+    from rfpipe.methods.symmetric import classification_kernels, piece_kernels
 
     starts, pair = tree.starts[level], candidates.pair
     pairs, n_values = Pairs.of(starts, pieces.block_a[pair], pieces.block_b[pair])
     a, b = pairs.block_a, pairs.block_b
     offsets = np.stack([pieces.offset_a[pair], pieces.offset_b[pair]])
-    variance = kernels.piece_sums(starts, Pairs(a, b, *offsets), pieces.variances)
+    variance = piece_kernels.piece_sums(starts, Pairs(a, b, *offsets), pieces.variances)
     nodes = NodeArrays(*pairs, np.empty((len(energy), n_values), np.float32), energy, variance)
-    bound, pixels = kernels.estimate_pieces(
+    bound, pixels = classification_kernels.estimate_pieces(
         LevelBlocks.of(tree, level),
         nodes,
         MeasuredPieces(pieces.values, pieces.variances, offsets),

@@ -286,7 +286,7 @@ def _refine_nodes(
     memory_bytes: int,
 ) -> _Refined:
     """Test nodes of the previous level, and classify the children of those without a leaf."""
-    from rfpipe.methods.symmetric import kernels
+    from rfpipe.methods.symmetric import classification_kernels
 
     tree, level = state.tree, state.level
     parent, a, b = child_pairs(tree, level - 1, nodes)
@@ -295,7 +295,7 @@ def _refine_nodes(
     outcome = rank_test_results(tree, level - 1, nodes, subdivision, limits)
     is_leaf = outcome == RankTestResult.PASSED_CLEARLY
     leaves = as_leaves(tree, level - 1, select(tree, level - 1, nodes, is_leaf))
-    kernels.reconcile(*subdivision)
+    classification_kernels.reconcile(*subdivision)
     pair = np.flatnonzero(~is_leaf[parent])
     is_final = outcome[parent[pair]] == RankTestResult.PASSED
     candidates = NodeCandidates(pair, is_final, nodes, parent[pair])

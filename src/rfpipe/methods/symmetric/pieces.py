@@ -47,8 +47,8 @@ class Pieces(NamedTuple):
         Variances of the sums, including the estimates of masked pixels.
     masked : ndarray of int64, shape (k,)
         Ascending tree positions of masked pixels. Their values are estimates from the known pixels
-        of the same piece and the sum of the pair's other piece (`kernels.complete_pieces`), with a
-        variance of 0; the rank test leaves them out.
+        of the same piece and the sum of the pair's other piece (`piece_kernels.complete_pieces`),
+        with a variance of 0; the rank test leaves them out.
     """
 
     block_a: Blocks
@@ -179,7 +179,7 @@ def residual_pieces(
     memory_bytes : int
         Working memory; the pieces don't depend on it.
     """
-    from rfpipe.methods.symmetric import kernels
+    from rfpipe.methods.symmetric import piece_kernels
 
     starts = tree.starts[level]
     pairs, n_values = Pairs.of(starts, *blocks)
@@ -194,9 +194,9 @@ def residual_pieces(
         radiance -= predict(tree, known, level, pattern_of_block, first, last, channels)
         radiance[..., masked], variance[..., masked] = 0, 0
         batch = ImageBatch(first, radiance, variance)
-        kernels.collect_pieces(starts, pairs, pattern_of_block, batch, values, variances)
-    sums = kernels.piece_sums(starts, pairs, values)
-    noise_variance = kernels.piece_sums(starts, pairs, variances)
+        piece_kernels.collect_pieces(starts, pairs, pattern_of_block, batch, values, variances)
+    sums = piece_kernels.piece_sums(starts, pairs, values)
+    noise_variance = piece_kernels.piece_sums(starts, pairs, variances)
     if not masked.any():
         no_pixels = np.zeros(0, np.int64)
         return Pieces(*pairs, values, variances, sums, noise_variance, noise_variance, no_pixels)
@@ -204,7 +204,7 @@ def residual_pieces(
         *pairs, values, variances, sums, noise_variance, noise_variance.copy(),
         np.flatnonzero(masked),
     )  # fmt: skip
-    kernels.complete_pieces(starts, pieces)
+    piece_kernels.complete_pieces(starts, pieces)
     return pieces
 
 

@@ -100,11 +100,11 @@ def rank_test_results(
     ndarray of int8, shape (n,)
         An `RankTestResult` for each node.
     """
-    from rfpipe.methods.symmetric import kernels
+    from rfpipe.methods.symmetric import rank_test_kernels
 
     if tree.splits_views(level):
         return np.full(len(nodes), RankTestResult.FAILED, np.int8)
-    ssd, noise, squares = kernels.compare_children(*subdivision)
+    ssd, noise, squares = rank_test_kernels.compare_children(*subdivision)
     samples = compared_pixels(tree, level, nodes)
     outcome = np.full(len(nodes), RankTestResult.FAILED, np.int8)
     for passed, share in (
@@ -125,7 +125,7 @@ def _has_evidence(
     In every channel, the squared energy shares of the children on at least one side must add up to
     at most ``3 / (children + 2)``. Of four children, two with half of the energy each are at this
     limit, and one with 68 % beside three of 11 %; of two children, 85 % and 15 % are. `squares` is
-    a result of `kernels.compare_children`.
+    a result of `rank_test_kernels.compare_children`.
     """
     children = np.diff(tree.child_starts[level])
     limit = 3.0 / (children[np.stack([nodes.block_b, nodes.block_a])] + 2.0)
