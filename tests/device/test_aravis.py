@@ -67,7 +67,7 @@ def test_automatic_functions_are_off_and_frames_are_triggered_with_exact_exposur
     [
         ({"shape": (40, 30_000)}, r"refuses Width = 30000.*Valid: 1 to 2048"),
         ({"nodes": {"Sharpnes": 1}}, "refuses Sharpnes = 1: the camera has no such setting"),
-        ({"nodes": {"TriggerActivation": "Maybe"}}, "It takes RisingEdge"),
+        ({"nodes": {"TriggerActivation": "Maybe"}}, "Valid: RisingEdge"),
         ({"gain_db": 3.0}, "has no gain in decibels"),
     ],
 )

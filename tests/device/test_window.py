@@ -97,7 +97,7 @@ def test_a_lost_display_is_an_error_until_it_comes_back(caplog: pytest.LogCaptur
         assert projector.undisturbed()
         assert (server.pixels == 255).all()
     assert projector.statistics == {"shown": 2, "reopened": 1, "disturbed": 1}
-    assert "window is gone" in caplog.text
+    assert "window is lost" in caplog.text
     projector.close()
     with pytest.raises(CaptureError, match="closed"):
         projector.show(white(projector))

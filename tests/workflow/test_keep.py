@@ -33,7 +33,7 @@ def test_a_run_uploads_its_results_to_a_bucket(
         use(monkeypatch, faults.endpoint)
         faults.deny = True
         output = workflow.run(succeeds=False)
-        assert "the credentials of the environment" in output
+        assert "AWS_SECRET_ACCESS_KEY" in output
         faults.deny = False
         workflow.run()
         manifest = read_manifest(workflow.path("kept.json"))

@@ -105,7 +105,7 @@ def test_the_client_waits_for_a_server_killed_during_a_level(
     server.start()
     output = workflow.end(process)
     assert re.search(r"no answer .*check that 'rfpipe serve' is", output)
-    assert "answers again; going on" in output
+    assert "answers again; continuing" in output
     # the second server shows no pattern whose frames the client already has
     assert server.status()["brackets"] <= 40 - captured + 1
     # the same bytes as a simulated capture without a server
@@ -145,7 +145,7 @@ def test_a_server_that_does_not_return_ends_the_run_with_advice(
     server.kill()
     output = workflow.run(LONG, succeeds=False)
     assert "check that 'rfpipe serve' is" in output
-    assert "what is captured is kept: run again when that is mended" in output
+    assert "captured brackets are kept: run again after solving the problem" in output
     server.settings["scene"] = {**CONFIG["scenes"]["long"], "shape": [16, 16]}
     server.start()
     output = workflow.run(LONG, succeeds=False)
