@@ -1,4 +1,4 @@
-"""Results of config/large.yaml: errors against patterns, and the resources of each stage.
+"""Results of config/large.yaml: errors against pictures on the rig, and resources of each stage.
 
 Usage: ``python -m benchmarks.large [FOLDER]``, the folder that holds the run's ``results``, by
 default ``large``. Writes docs/measured/large.csv, a row for each acquisition after each level,
@@ -28,6 +28,7 @@ from rfpipe.stages.settings import plan_settings
 from rfpipe.stages.verification import verify
 from rfpipe.storage.base import scheduled_levels
 from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.store import open_arrays
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import estimates
@@ -79,7 +80,7 @@ def pictures_of(scene: Scene) -> tuple[Float, Float, Float]:
 def curve(
     config: Config, name: str, method: str, scene: Scene, test: tuple[Float, Float, Float]
 ) -> Iterator[dict[str, Any]]:
-    """Yield patterns, estimated and true errors of an acquisition after each of its levels."""
+    """Yield pictures, estimated and true errors of an acquisition after each of its levels."""
     patterns, truth, floodlit = test
     folder = FolderStorage(Path("results") / name / method)
     plan = Plan.of(**plan_settings(config, name, method))
@@ -103,6 +104,7 @@ def curve(
             "method": method,
             "rays": int(np.prod(scene.projector_shape)),
             "patterns": sum(row["patterns"] for row in transport.level_rows),
+            "pictures": captured_pictures(folder, level).total,
             "megabytes": transport.nbytes / 1e6,
             "estimated_error": known[-1]["estimated_error"] if known else np.nan,
             "mean_error": float(errors.mean()),
@@ -135,7 +137,7 @@ def stage_costs(scene: str, method: str) -> pd.DataFrame:
 
 
 def draw(config: Config, table: pd.DataFrame) -> Any:
-    """Draw, of each scene, truth and relit pictures under a pattern, and errors by patterns."""
+    """Draw, of each scene, truth and relit pictures under a pattern, and errors by pictures."""
     figure, axes = plt.subplots(len(config.scenes), 4, figsize=(16, 3.2 * len(config.scenes)))
     for row, name in zip(axes, config.scenes, strict=True):
         shown = open_arrays(Path("results") / name / "auto/relight.zarr")
@@ -150,15 +152,15 @@ def draw(config: Config, table: pd.DataFrame) -> Any:
             axis.axis("off")
         for method, method_rows in table[table["scene"] == name].groupby("method", sort=False):
             [line] = row[3].loglog(
-                method_rows["patterns"], 100 * method_rows["mean_error"], "o-", label=method
+                method_rows["pictures"], 100 * method_rows["mean_error"], "o-", label=method
             )
             made = method_rows[
                 method_rows["estimated_error"] != method_rows["estimated_error"].shift()
             ]
             row[3].loglog(
-                made["patterns"], 100 * made["estimated_error"], "x:", color=line.get_color()
+                made["pictures"], 100 * made["estimated_error"], "x:", color=line.get_color()
             )
-        row[3].set_xlabel("patterns")
+        row[3].set_xlabel("pictures on the rig")
         row[3].set_title("error, %: true (o), estimated (x)")
         row[3].grid(alpha=0.3)
         row[3].legend()

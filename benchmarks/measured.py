@@ -1,4 +1,4 @@
-"""The tables of docs/measured.md, and those that README shows of them: ``make measured``.
+"""The tables of docs/measured.md, docs/cost.md and README: ``make measured``.
 
 Acquires what docs/measured/acquisitions.csv lacks of the code as it is, hours from nothing, takes
 the results of the default run and of `make thesis` from their folders, if they are there, and
@@ -16,13 +16,15 @@ from typing import Any
 
 import pandas as pd
 
+from benchmarks import cost
 from benchmarks.methods.__main__ import run
 from benchmarks.methods.cases import Case, by_place, cases_of, known_keys, newest
 from benchmarks.methods.page import markdown
 from rfpipe.store.files import write_atomically
 
 FOLDER = Path("docs/measured")
-PAGES = (Path("docs/measured.md"), Path("README.md"))
+BENCHMARK = Path("docs/benchmark/acquisitions.csv")
+PAGES = (Path("docs/measured.md"), Path("docs/cost.md"), Path("README.md"))
 THESIS = {  # Table 5.1: patterns and MB
     "planes_i": ("I, one textured plane", 809, 255),
     "planes_ii": ("II, two white planes", 1085, 371),
@@ -94,6 +96,8 @@ def written(text: str, folder: Path) -> str:
         "beaten": lambda: _beaten(_thesis_run(folder)),
         "large": lambda: _large(_ends(folder / "large.csv")),
         "stages": lambda: _stages(pd.read_csv(folder / "large_stages.csv")),
+        "cost by target": lambda: cost.by_target(BENCHMARK),
+        "cost by size": lambda: cost.by_size(folder),
         "thesis, two": lambda: _of_thesis(pd.read_csv(folder / "thesis_run.csv"), last=2),
     }
     for name, make in makers.items():
@@ -141,8 +145,9 @@ def _of_sides(rows: pd.DataFrame) -> str:
     for scene, scene_rows in chosen.groupby("scene", sort=False):
         at = scene_rows.set_index("side")
         cells = [
-            f"{at.patterns[side]}: {_percent(at.error_mean[side])}, {at.processing_s[side]:.0f} s, "
-            f"{at.memory_gb[side]:.1f} GB" if side in at.index else ""
+            f"{at.pictures[side]} ({at.patterns[side]}): {_percent(at.error_mean[side])}, "
+            f"{at.processing_s[side]:.0f} s, {at.memory_gb[side]:.1f} GB"
+            if side in at.index else ""
             for side in _SIDES
         ]  # fmt: skip
         lines.append([f"`{scene}`", *cells])
@@ -154,7 +159,8 @@ def _of_planes(rows: pd.DataFrame) -> str:
     chosen = rows[(rows["side"] == _THESIS_SIDE) & (rows["status"] == "done")]
     lines = [
         [THESIS[str(scene).replace("wedge", "planes")][0], f"`{method}`",
-         *(f"{row.patterns}: {_percent(row.error_mean)}, {_percent(row.indirect_mean)}"
+         *(f"{row.pictures} ({row.patterns}): {_percent(row.error_mean)}, "
+           f"{_percent(row.indirect_mean)}"
            for row in scene_rows.sort_values("patterns").itertuples())]
         for (scene, method), scene_rows in chosen.groupby(["scene", "method"])
     ]  # fmt: skip
@@ -175,12 +181,12 @@ def _of_thesis(rows: pd.DataFrame, last: int | None = None) -> str:
     for row in rows[rows["scene"].isin(scenes)].itertuples():
         title, patterns, megabytes = THESIS[str(row.scene)]
         lines.append(
-            [title, f"`{row.method}`", f"{row.patterns:,} ({patterns:,})",
+            [title, f"`{row.method}`", f"{row.patterns:,} ({patterns:,})", f"{row.pictures:,}",
              f"{row.megabytes:.1f} ({megabytes:,})",
              *map(_percent, (row.mean_error, row.worst_error, row.mean_indirect))]
         )  # fmt: skip
-    head = ["scene", "method", _PATTERNS, "MB stored (thesis)", "mean error, %", "largest, %",
-            _INDIRECT]  # fmt: skip
+    head = ["scene", "method", _PATTERNS, "pictures on the rig", "MB stored (thesis)",
+            "mean error, %", "largest, %", _INDIRECT]  # fmt: skip
     return markdown(head, lines)
 
 
@@ -203,11 +209,12 @@ def _beaten(rows: pd.DataFrame) -> str:
         best = alike.iloc[0] if len(alike) else ours.sort_values("mean_error").iloc[0]
         lines.append(
             [title, f"{patterns:,}, {megabytes:,} MB",
-             *(f"{row.patterns}, {row.megabytes:.3g} MB: {_percent(row.mean_error)}, "
-               f"{_percent(row.mean_indirect)}" for row in (theirs, best)),
+             *(f"{row.patterns} ({row.pictures}), {row.megabytes:.3g} MB: "
+               f"{_percent(row.mean_error)}, {_percent(row.mean_indirect)}"
+               for row in (theirs, best)),
              f"{patterns / best.patterns:.0f}, {megabytes / best.megabytes:.0f}"]
         )  # fmt: skip
-    cell_format = "patterns, MB: error, error of indirect light, %"
+    cell_format = "patterns (pictures on the rig), MB: error, error of indirect light, %"
     head = ["scene", "thesis, without errors: patterns, MB", f"`symmetric`: {cell_format}",
             f"`near_far` or `auto`: {cell_format}",
             "times fewer than the thesis: patterns, MB"]  # fmt: skip
@@ -216,12 +223,13 @@ def _beaten(rows: pd.DataFrame) -> str:
 
 def _large(rows: pd.DataFrame) -> str:
     """Return the physically based scenes at the size of a rig."""
-    head = ["scene", "method", "patterns", "MB stored", "estimated, %", "mean error, %",
-            "largest, %", _INDIRECT, "verified, %"]  # fmt: skip
+    head = ["scene", "method", "patterns", "pictures on the rig", "MB stored", "estimated, %",
+            "mean error, %", "largest, %", _INDIRECT, "verified, %"]  # fmt: skip
     return markdown(
         head,
         (
-            [row.scene, f"`{row.method}`", str(row.patterns), f"{row.megabytes:.3g}",
+            [row.scene, f"`{row.method}`", str(row.patterns), str(row.pictures),
+             f"{row.megabytes:.3g}",
              *map(_percent, (row.estimated_error, row.mean_error, row.worst_error,
                              row.mean_indirect, row.verified))]
             for row in rows.itertuples()

@@ -98,7 +98,7 @@ def run(cases: Sequence[Case], table: Path, rows: Rows, cache: Path, seconds: fl
             outcome = row.get("why", "")
             if row["status"] == "done":
                 rows[case.place].append(row)
-                outcome = f"{row['patterns']} patterns, mean error {row['error_mean']:.3g}"
+                outcome = f"{row['pictures']} pictures, mean error {row['error_mean']:.3g}"
             _log.info("%d of %d: %s: %s", number, len(cases), case, outcome)
 
 

@@ -205,7 +205,7 @@ PLACE = ("scene", "side", "channels", "samples", "light", "seed")
 CASE = tuple(field.name for field in fields(Case))
 COLUMNS = (
     "key", *CASE, "what", "held_out_scene", "held_out_seed", "status", "why", "camera_rays",
-    "projector_rays", "patterns", "brackets", "exposure_s", "light_s", "error_mean", "error_shapes",
+    "projector_rays", "patterns", "pictures", "exposure_s", "light_s", "error_mean", "error_shapes",
     "error_bars", "error_spots", "error_worst", "indirect_mean", "photo_mean", "photo_indirect",
     "grain", "estimated_error", "estimated_indirect", "processing_s", "memory_gb", "stored_mb",
     "date", "machine", "code",

@@ -33,25 +33,25 @@ _PHOTOGRAPHED = 24  # pictures, the first ones
 
 
 class CountingRig(SimulatedRig):
-    """A simulated rig that counts brackets and the light that was shown.
+    """A simulated rig that counts pictures and the light that was shown.
 
     Attributes
     ----------
-    brackets : int
-        Taken so far, all-off and all-on ones included.
+    pictures : int
+        Brackets taken so far, whatever for.
     lit : float
         Sum over them of the pattern's mean weight.
     """
 
     def __init__(self, scene: Scene, sensor: Sensor, seed: int) -> None:
         super().__init__(scene, sensor, seed)
-        self.brackets, self.lit = 0, 0.0
+        self.pictures, self.lit = 0, 0.0
 
     def capture(
         self, patterns: NDArray[np.float32], keys: Sequence[tuple[int, ...]]
     ) -> NDArray[Any]:
         """Show patterns and return their brackets."""
-        self.brackets += len(patterns)
+        self.pictures += len(patterns)
         self.lit += float(patterns.reshape(len(patterns), -1).mean(axis=1, dtype=float).sum())
         return super().capture(patterns, keys)
 
@@ -110,8 +110,8 @@ def _measured(case: Case, cache: Path) -> dict[str, object]:
         "camera_rays": int(np.prod(rig.camera_shape)),
         "projector_rays": int(np.prod(rig.projector_shape)),
         "patterns": result.patterns,
-        "brackets": rig.brackets,
-        "exposure_s": rig.brackets * seconds,
+        "pictures": rig.pictures,
+        "exposure_s": rig.pictures * seconds,
         "light_s": rig.lit * seconds * light,
         "error_mean": np.mean(total),
         **{f"error_{kind}": mean for kind, mean in zip(PICTURES, of_kind, strict=True)},

@@ -29,7 +29,7 @@ from benchmarks.methods.scenes import shape_of
 from rfpipe.store.files import write_atomically
 
 TUNING, TEST = "tuning", "test"
-_ENOUGH = 0.01  # mean error, for the table of patterns that reach it
+_ENOUGH = 0.01  # mean error, for the table of pictures that reach it
 _MISSED = 1.2  # true error over target, more than which misses it
 _NEAR = 1.5  # an estimate is this many times the truth at most, and its inverse at least
 _VISIBLE = 0.25  # of a photograph's noise: the least error that an estimate sees
@@ -51,17 +51,21 @@ scenes are omitted.
 - **Test scenes** and test seeds are chosen by the parity of their names' digest. Methods are
   developed with all others, the **tuning scenes**, alone; test scenes are evaluated last, and
   marked by a star.
+- **Pictures** are all brackets that the rig took, references and symmetry test among them;
+  *patterns* are those of the method alone. A real rig takes check and verification pictures
+  besides.
 """
 _REGRET = """## Regret
 
-Patterns of `auto` over the fewest with which any other method has a true error as small as the
-target, at its best setting in hindsight, or over the patterns of brute force. Geometric means
-over seeds, then over scenes. `!`: `auto` missed its target by more than a fifth.
+Pictures of `auto` over the fewest with which any other method has a true error as small as the
+target, at its best setting in hindsight, or over those of brute force, with the references of
+`auto`. Geometric means over seeds, then over scenes. `!`: `auto` missed its target by more than a
+fifth.
 """
 _INDIRECT = """## Regret by indirect light
 
-Patterns of `auto` over the fewest with which any other method has an error of indirect light as
-small as `auto` had, whatever its target; 2 means that half of the patterns were enough, less is
+Pictures of `auto` over the fewest with which any other method has an error of indirect light as
+small as `auto` had, whatever its target; 2 means that half of the pictures were enough, less is
 better.
 """
 _ESTIMATES = f"""## Estimates and targets
@@ -69,10 +73,11 @@ _ESTIMATES = f"""## Estimates and targets
 Shares of runs whose estimate is within a factor of {_NEAR:g} of the true error, and of targets met
 within a fifth.
 """
-_FEWEST = f"""## Patterns for an error of {_ENOUGH:.0%}
+_FEWEST = f"""## Pictures for an error of {_ENOUGH:.0%}
 
-Fewest patterns for such a mean error, in full light, geometric means over seeds; where it isn't
-reached on all of them, the least error; a dash where the method refuses the scene.
+Fewest pictures on the rig for such a mean error, in full light, and the patterns among them in
+brackets: geometric means over seeds. Where it isn't reached on all of them, the least error; a
+dash where the method refuses the scene.
 """
 _SMALL = f"""## Estimates of small scenes
 
@@ -87,8 +92,8 @@ Memory is the peak while it acquired, the simulated camera's included, above wha
 """
 _PLOTS = """## Plots
 
-Mean errors against patterns in full light, dotted the noise of a single photograph; estimates
-against truth, filled where scene and seed are for tuning.
+Mean errors against pictures on the rig in full light, dotted the noise of a single photograph;
+estimates against truth, filled where scene and seed are for tuning.
 """
 
 
@@ -131,7 +136,7 @@ def write_page(folder: Path, table: Path, planned: Sequence[Case]) -> None:
         *([_SMALL, small] if small else []),
         *([_SIDES, sides] if sides else []),
         _PLOTS,
-        f"![errors against patterns]({folder.name}/errors.png)\n",
+        f"![errors against pictures on the rig]({folder.name}/errors.png)\n",
         f"![estimates against truth]({folder.name}/estimates.png)\n",
     ]
     write_atomically(folder.with_suffix(".md"), "\n".join(parts).encode())
@@ -148,11 +153,12 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        ``section``, scene, light and seed, the target and whether it was ``missed``; patterns over
+        ``section``, scene, light and seed, the target and whether it was ``missed``; pictures over
         the fewest of other methods, ``error``, whose true error is as small as the target, and
         ``indirect``, whose error of indirect light is as small as the acquisition's; the methods
         that took the fewest, ``error_by`` and ``indirect_by``, empty where none did and brute
-        force's number counts. NaN without other methods, or where the error isn't known.
+        force's number counts, with the references of `AUTO`. NaN without other methods, or where
+        the error isn't known.
     """
     pairs = []
     for _, rows in done.groupby(list(PLACE), sort=False):
@@ -165,12 +171,13 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
             }
             limits = {"error": auto_rows.value, "indirect": auto_rows.indirect_mean}
             for name, limit in limits.items():
-                enough = rivals[rivals[f"{name}_mean"] <= limit].sort_values("patterns")
-                fewest, by = auto_rows.projector_rays, ""
+                enough = rivals[rivals[f"{name}_mean"] <= limit].sort_values("pictures")
+                references = auto_rows.pictures - auto_rows.patterns
+                fewest, by = auto_rows.projector_rays + references, ""
                 if len(enough):
-                    fewest, by = enough.iloc[0][["patterns", "method"]]
+                    fewest, by = enough.iloc[0][["pictures", "method"]]
                 known = len(rivals) > 0 and not np.isnan(limit)
-                row |= {name: auto_rows.patterns / fewest if known else np.nan, f"{name}_by": by}
+                row |= {name: auto_rows.pictures / fewest if known else np.nan, f"{name}_by": by}
             pairs.append(row)
     columns = ["section", "scene", "light", "seed", "target", "missed", "error", "error_by",
                "indirect", "indirect_by"]  # fmt: skip
@@ -245,11 +252,11 @@ def _fewest(rows: pd.DataFrame) -> str:
         for method in methods:
             tried = of_scene[of_scene["method"] == method]
             method_rows = tried[tried["status"] == "done"]
-            enough = (
-                method_rows[method_rows["error_mean"] <= _ENOUGH].groupby("seed")["patterns"].min()
-            )
+            reached = method_rows[method_rows["error_mean"] <= _ENOUGH]
+            enough = reached.groupby("seed")[["pictures", "patterns"]].min()
             if len(method_rows) and len(enough) == len(set(method_rows["seed"])):
-                cells.append(f"{np.exp(np.log(enough).mean()):.0f}")
+                pictures, patterns = np.exp(np.log(enough).mean())
+                cells.append(f"{pictures:.0f} ({patterns:.0f})")
             else:
                 least = method_rows.groupby("seed")["error_mean"].min().mean()
                 cells.append(f"{least:.2%}" if len(method_rows) else "-" if len(tried) else "")
@@ -324,14 +331,16 @@ def _sides(done: pd.DataFrame) -> str:
         [*setting, "projector_rays", "side"]
     ):
         scene, light, method, option, value = named
-        mean = setting_rows[["patterns", "error_mean", "processing_s", "memory_gb"]].mean()
+        mean = setting_rows[
+            ["pictures", "patterns", "error_mean", "processing_s", "memory_gb"]
+        ].mean()
         lines.append(
             [_starred(scene), light, f"`{method}`", f"{option} {value:g}" if option else "", side,
-             f"{mean['patterns']:.0f}", f"{mean['error_mean']:.2%}", f"{mean['processing_s']:.1f}",
-             f"{mean['memory_gb']:.2f}"]
+             f"{mean['pictures']:.0f}", f"{mean['patterns']:.0f}", f"{mean['error_mean']:.2%}",
+             f"{mean['processing_s']:.1f}", f"{mean['memory_gb']:.2f}"]
         )  # fmt: skip
-    head = ["scene", "light", "method", "setting", "side", "patterns", "error", "processing, s",
-            "memory, GB"]  # fmt: skip
+    head = ["scene", "light", "method", "setting", "side", "pictures", "patterns", "error",
+            "processing, s", "memory, GB"]  # fmt: skip
     return markdown(head, lines) if lines else ""
 
 
@@ -371,7 +380,7 @@ def _style(method: str) -> dict[str, Any]:
 
 
 def _curves(done: pd.DataFrame) -> bytes:
-    """Draw mean errors against patterns, a panel a scene; means over seeds."""
+    """Draw mean errors against pictures on the rig, a panel a scene; means over seeds."""
     scenes = list(dict.fromkeys(done["scene"]))
     height = -(-len(scenes) // _ABREAST)
     figure, axes = _figure(height, _ABREAST, (2.4 * _ABREAST, 2.2 * height + 0.5))
@@ -385,14 +394,14 @@ def _curves(done: pd.DataFrame) -> bytes:
         axis.tick_params(labelsize=7)
         for method, method_rows in scene_rows.groupby("method"):
             means = (
-                method_rows.groupby("value")[["patterns", "error_mean"]]
+                method_rows.groupby("value")[["pictures", "error_mean"]]
                 .mean()
-                .sort_values("patterns")
+                .sort_values("pictures")
             )
-            axis.plot(means["patterns"], 100 * means["error_mean"], **_style(str(method)))
+            axis.plot(means["pictures"], 100 * means["error_mean"], **_style(str(method)))
         axis.axhline(100 * scene_rows["photo_mean"].mean(), color="#888888", linestyle=":",
                      label="a photograph's noise")  # fmt: skip
-    figure.supxlabel("patterns", fontsize=9)
+    figure.supxlabel("pictures on the rig", fontsize=9)
     figure.supylabel("mean error, %", fontsize=9)
     return _png(figure)
 

@@ -108,5 +108,6 @@ def benchmarked(results: Path, scenes: Iterable[str], methods: Iterable[str]) ->
             for stage in ("schedule", "capture", "merge", "normalize", "refine"):
                 path = folder / level / f"{stage}.benchmark.tsv"
                 path.write_text("s\th:m:s\tmax_rss\n1.0\t0:00:01\t50\n")
-            write_manifest(folder / level / "capture.json", {"patterns": 20})
+            facts = {"patterns": 20, "shape": [20, 4, 8, 10, 3]}
+            write_manifest(folder / level / "capture.json", facts)
         (folder / "transport.benchmark.tsv").write_text("s\th:m:s\n1.0\t0:00:01\n")

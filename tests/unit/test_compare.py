@@ -38,7 +38,7 @@ def relit(
         at = folder / f"L{level:02}"
         at.mkdir(parents=True)
         reference = {} if level else {"reference_brackets": {"digest": "it", "shape": [10, 1]}}
-        write_manifest(at / "capture.json", {"patterns": count, **reference})
+        write_manifest(at / "capture.json", {"patterns": count, "shape": [count, 1], **reference})
         (at / "refine.benchmark.tsv").write_text("s\th:m:s\n5.0\t0:00:05\n")
         (at / "capture.benchmark.tsv").write_text("s\th:m:s\n99.0\t0:01:39\n")
     write_manifest(folder / "relight.json", facts)

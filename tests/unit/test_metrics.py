@@ -64,9 +64,10 @@ def test_errors_are_blank_where_they_are_undefined(tmp_path):
     errors = {"errors": {"spots": 0.1}, "level_errors": [1, 0.8, 0.5]}
     write_manifest(tmp_path / "relight.json", {**facts, **errors, "levels": rows})
     errors, speed = tmp_path / "tables" / "errors.csv", tmp_path / "tables" / "speed_error.csv"
-    for level, count in enumerate((5, 0, 4)):  # including references and check pictures
+    for level, count in enumerate((5, 0, 4)):  # as if they included references
         (tmp_path / f"L{level:02}").mkdir()
-        write_manifest(tmp_path / f"L{level:02}/capture.json", {"patterns": count})
+        facts = {"patterns": count, "shape": [count, 1, 2, 3, 3]}
+        write_manifest(tmp_path / f"L{level:02}/capture.json", facts)
     evaluate.run([tmp_path / "relight.json"], errors, speed, 2.0)
 
     spots, row = csv.DictReader(errors.read_text().splitlines())
@@ -74,5 +75,5 @@ def test_errors_are_blank_where_they_are_undefined(tmp_path):
     assert (row["scene"], row["method"], row["pattern"]) == ("box", "dual", "everything")
     assert float(row["error"]) == pytest.approx(0.5)
     assert row["indirect_error"] == ""
-    by_level = pd.read_csv(speed)[["level", "patterns", "capture_s", "error"]]
-    assert by_level.to_numpy().tolist() == [[0, 1, 2 * 5, 1], [2, 3, 2 * 9, 0.5]]
+    by_level = pd.read_csv(speed)[["level", "patterns", "pictures", "capture_s", "error"]]
+    assert by_level.to_numpy().tolist() == [[0, 1, 5, 2 * 5, 1], [2, 3, 9, 2 * 9, 0.5]]

@@ -73,7 +73,7 @@ def test_an_acquisition_takes_at_most_the_patterns_of_its_forecast(tolerance):
     symmetric, rays = get_method("symmetric"), RayDomain(SHAPE)
     forecast = symmetric.forecast(rays, rays, 1, options_of(symmetric, tolerance=tolerance))
     for seed in (0, 1, 2):
-        assert acquire("IV", "symmetric", tolerance, seed=seed).patterns <= forecast.patterns
+        assert acquire("IV", "symmetric", tolerance, seed=seed).patterns <= forecast.max_patterns
 
 
 @pytest.mark.parametrize("which", ["II", "III", "IV"])

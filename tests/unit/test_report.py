@@ -152,7 +152,7 @@ def test_costs_count_patterns_bytes_and_seconds(results, inputs):
     rows = [result_of(inputs, run) for run in inputs.runs]
     assert [(row["scene"], row["method"]) for row in rows] == BOTH.acquisitions
     assert all(row["rays"] == 80 for row in rows)
-    assert all(row["pictures"] == 40 for row in rows)
+    assert all((row["pictures"], row["frames"]) == (40, 160) for row in rows)
     assert all(row["capture_s"] == 2 * 40 for row in rows)  # of all pictures, including references
     # eight processing jobs in two levels, and the assembly; captures are not processing
     assert all(row["processing_s"] == 9 for row in rows)
@@ -240,7 +240,10 @@ def test_a_light_field_shows_its_middle_view(tmp_path):
 def test_the_report_begins_with_a_table_and_each_scene_with_its_truth(results, inputs):
     first, second = make_sections(inputs)[:2]
     assert (first.anchor, second.anchor) == ("glance", "speed")
-    table, gallery = first.blocks
+    table, gallery, purposes = first.blocks
+    assert purposes.name == "Pictures on the rig"
+    counts = dict(zip(purposes.columns, purposes.rows[0], strict=True))
+    assert (counts["pictures on the rig"], counts["exposures"]) == ("40", "160")
     assert [figure.name for figure in gallery.figures] == ["flat", "corner"]
     pictures = ["floodlit", *(name.replace("_", " ") for name in RELIGHTING_PATTERNS)]
     for figure in gallery.figures:

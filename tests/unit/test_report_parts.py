@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -25,7 +26,7 @@ from rfpipe.report.text import DASH
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import planes_scene
 from rfpipe.stages import verification
-from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
+from rfpipe.stages.evaluate import errors_by_level
 from rfpipe.store import write_manifest
 
 GREY = {**WEDGE, "channels": 1}
@@ -65,7 +66,7 @@ def inputs_of(
     speed = pd.DataFrame(
         [
             {"scene": run.scene, "method": run.method, "level": level, "patterns": 10 * level + n,
-             "error": 0.1 / (level + n)}
+             "pictures": 10 * level + n + 20, "error": 0.1 / (level + n)}
             for n, run in enumerate(runs)
             for level in ((1, 2, 3) if run.method.startswith("sym") else (1,))
         ]
@@ -95,13 +96,18 @@ def test_estimates_are_drawn_at_their_levels_and_unlike_true_errors(tmp_path: Pa
     assert [it["level"] for it in errors.made_estimates(rows)] == [1, 4, 6]
     assert errors.made_estimates(rows[:1]) == []
     inputs = inputs_of(tmp_path, rows=rows)
-    steps = errors.histories(inputs.runs)
+    for run, level in product(inputs.runs, range(len(rows))):
+        folder = inputs.results / run.scene / run.method / f"L{level:02}"
+        folder.mkdir(parents=True)
+        references = {"reference_brackets": {"shape": [10, 2, 8]}} if level == 0 else {}
+        write_manifest(folder / "capture.json", {"patterns": 4, "shape": [4, 2, 8], **references})
+    steps = errors.histories(inputs)
     (other_group,) = (group for group in inputs.seed_groups if group.name == "other")
     figure = errors.speed_figure(inputs, [other_group], inputs.speed_error, steps)
     lines = [line for line in figure.axes[0].lines if len(line.get_xdata())]
     crosses = [line for line in lines if line.get_marker() == "x"]
     truths = [line for line in lines if line.get_marker() not in ("x", "None", "", "|", "_")]
-    assert {tuple(line.get_xdata()) for line in crosses} == {(8, 20, 28)}
+    assert {tuple(line.get_xdata()) for line in crosses} == {(18, 30, 38)}
     assert {line.get_linestyle() for line in crosses} == {":"}
     assert len(truths) == len(inputs.methods)
     single_marks = [line for line in truths if len(line.get_xdata()) == 1]
@@ -118,10 +124,10 @@ def test_scenes_that_differ_only_in_seeds_are_one_panel_with_error_bars(
     inputs = inputs_of(tmp_path)
     groups = {group.title: group.scenes for group in inputs.seed_groups}
     assert groups == {"corner, 3 seeds": tuple(SEEDS), "other": ("other",)}
-    rows = pd.DataFrame({"scene": ["a", "a", "b", "b"], "patterns": [1, 5, 3, 7],
+    rows = pd.DataFrame({"scene": ["a", "a", "b", "b"], "pictures": [1, 5, 3, 7],
                          "error": [0.4, 0.1, 0.2, 0.3]})  # fmt: skip
     means = errors.over_seeds(rows, "error")
-    np.testing.assert_allclose(means["patterns"], [2, 6])
+    np.testing.assert_allclose(means["pictures"], [2, 6])
     np.testing.assert_allclose(means["error"], [30, 20])
     np.testing.assert_allclose(means["error_sd"], [10 * np.sqrt(2)] * 2)
     table = glance.seeds_table(inputs, [glance.result_of(inputs, run) for run in inputs.runs])
@@ -129,7 +135,7 @@ def test_scenes_that_differ_only_in_seeds_are_one_panel_with_error_bars(
     assert {cells[0] for cells in table.rows} == {"corner"}
     assert table.rows[0][table.columns.index("error, %")] == "1.00 ± 0.00"
     figure = errors.speed_figure(
-        inputs, inputs.seed_groups, inputs.speed_error, errors.histories(inputs.runs)
+        inputs, inputs.seed_groups, inputs.speed_error, errors.histories(inputs)
     )
     assert [axis.get_title() for axis in figure.axes[:2]] == ["corner, 3 seeds", "other"]
     bars, none = (len(axis.collections) for axis in figure.axes[:2])
@@ -275,19 +281,6 @@ def test_alarms_and_their_rows_are_red(tmp_path: Path) -> None:
 
 
 # ---- Rigs
-
-
-def test_pictures_on_the_rig_are_counted_by_level(tmp_path: Path) -> None:
-    store = {"digest": "it", "shape": [72, 4, 8, 10, 3]}
-    for level, facts in enumerate([
-        {"patterns": 1, "reference_brackets": store,
-         "symmetry": {**store, "shape": [6, 4, 8, 10, 3]},
-         "rig": {"digest": "no", "shape": [9]}, "sensor": {"digest": "arrays"}, "shape": [1]},
-        {"patterns": 12, "check_pictures": {**store, "shape": [3, 4, 8, 10, 3]}},
-    ]):  # fmt: skip
-        (tmp_path / f"L{level:02}").mkdir()
-        write_manifest(tmp_path / f"L{level:02}" / "capture.json", facts)
-    assert pictures_by_level(tmp_path) == {0: 79, 1: 15}
 
 
 RIG = {

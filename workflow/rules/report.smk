@@ -5,6 +5,7 @@ rule evaluate:
     """All errors, in one job because the colour library takes long to load."""
     input:
         relit=every_acquisition("relight.json"),
+        verified=every_verification,  # their pictures are counted
     output:
         errors=report(
             "results/report/tables/errors.csv", caption="../report/errors.rst"

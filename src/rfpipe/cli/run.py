@@ -310,16 +310,16 @@ def plan(
         Path, typer.Option("--directory", "-d", help="Folder of the run, as for 'rfpipe run'.")
     ] = Path(),
 ) -> None:
-    """Check a settings file, and forecast patterns, time, memory and disk space of its run.
+    """Check a settings file, and forecast pictures, time, memory and disk space of its run.
 
     The command reports all mistakes in the file, and requirements of scenes that this machine
     doesn't meet. The settings file of a rig is checked without a forecast.
 
-    For auto, near_far and footprints, the number of patterns is estimated from target_error: half
-    of the scenes of docs/benchmark.md needed 0.75 to 1.75 times the estimate, scenes with glass and
-    mirrors 4 to 20 times. The column "at most" counts all rounds of the method. For symmetric and
-    dual, the estimate is high: it assumes as many patterns per level as the largest scenes of the
-    thesis. The time is that of the capture on a rig; disk space is before compression.
+    Pictures are all brackets that the rig takes: references, symmetry test, patterns, check and
+    verification pictures. The number of patterns is estimated from target_error or tolerance. For
+    auto, near_far and footprints, two of three tuning scenes of docs/benchmark.md needed 0.67 to
+    1.5 times the estimate, scenes with glass, mirrors and gloss 2 to 10 times. "at most" counts all
+    rounds of the method. Time is that of the pictures on a rig; disk space is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
@@ -350,15 +350,17 @@ def _print_totals(rows: pd.DataFrame, free: int) -> None:
     from rfpipe.jobs.workers import machine_memory_mb
     from rfpipe.storage.space import bytes_text
 
-    total = rows[["seconds", "max_seconds", "disk", "max_disk"]].sum()
+    total = rows[["pictures", "max_pictures", "seconds", "max_seconds", "disk", "max_disk"]].sum()
     disk, memory = int(total["disk"]), int(rows["memory"].max())
     scope = "One after the other: " if len(rows) > 1 else "In total: "
-    is_open = (rows["max_patterns"] > rows["patterns"]).any()
-    max_time = f", at most {_duration(total['max_seconds'])}" if is_open else ""
+    is_open = (rows["max_pictures"] > rows["pictures"]).any()
+    max_time = ""
+    if is_open:
+        max_time = f", at most {total['max_pictures']:,.0f} and {_duration(total['max_seconds'])}"
     max_disk = f", at most {bytes_text(int(total['max_disk']))}" if is_open else ""
     typer.echo(
-        f"\n{scope}{_duration(total['seconds'])} of capture on a rig{max_time}; "
-        f"{bytes_text(disk)} of disk{max_disk}; {bytes_text(free)} are free."
+        f"\n{scope}{total['pictures']:,.0f} pictures and {_duration(total['seconds'])} on a rig"
+        f"{max_time}; {bytes_text(disk)} of disk{max_disk}; {bytes_text(free)} are free."
     )
     if total["max_disk"] > free:
         typer.echo(
@@ -393,14 +395,14 @@ def _forecast_table(rows: pd.DataFrame) -> str:
     """Format the forecast as a table."""
     from rfpipe.storage.space import bytes_text
 
-    table = rows.drop(columns=["max_seconds", "max_disk"])
-    for name in ("rays", "patterns", "max_patterns"):
+    table = rows.drop(columns=["max_patterns", "max_seconds", "max_disk"])
+    for name in ("rays", "patterns", "pictures", "max_pictures"):
         table[name] = rows[name].map("{:,}".format)
     table["seconds"] = rows["seconds"].map(_duration)
     for name in ("disk", "memory"):
         table[name] = rows[name].map(bytes_text)
-    order = ["scene", "method", "rays", "patterns", "max_patterns", "seconds"]
-    names = {"seconds": "time", "max_patterns": "at most"}
+    order = ["scene", "method", "rays", "patterns", "pictures", "max_pictures", "seconds"]
+    names = {"seconds": "time", "max_pictures": "at most"}
     table = table[[*order, "disk", "memory"]].rename(columns=names)
     return table.to_string(index=False, col_space=8)
 

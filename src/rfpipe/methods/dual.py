@@ -131,7 +131,7 @@ class Dual(BlockTreeMethod[DualState]):
     colour = "#c4611a"
     marker = "s"
     bytes_per_ray = 20_000
-    thesis_patterns = 7_382  # of scene IV
+    level_patterns, power = 18.5, 0.45
     Options = DualOptions
     trials = TOLERANCES[:-1]  # at smaller tolerances the default camera measures noise
 

@@ -19,6 +19,7 @@ from rfpipe.report.page import rendered
 from rfpipe.report.targets import ending_of, missed_target_texts
 from rfpipe.report.text import ray_size
 from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.store import StoreLock, manifest_or_empty
 from rfpipe.store.files import write_atomically
 from rfpipe.transport.base import last_estimate
@@ -174,7 +175,8 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``patterns``; ``seconds`` on the rig and of processing; ``nbytes`` of the stored transport.
+        ``patterns``; ``pictures`` on the rig so far, for all purposes; ``seconds`` on the rig and
+        of processing; ``nbytes`` of the stored transport.
         ``error``, ``estimate`` and ``verified``: mean relative errors of relit pictures: against
         the truth, as the method estimated it, and against verification pictures. ``indirect``: mean
         error of their indirect light against the truth.
@@ -186,6 +188,7 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
     files = [path.stat().st_size for path in (folder / "transport.zarr").rglob("*.*")]
     return {
         "patterns": acquired.get("patterns"),
+        "pictures": _pictures(folder),
         "seconds": _seconds(folder, seconds_per_picture),
         "nbytes": sum(files) if files else None,
         "error": relit.get("mean_error"),
@@ -193,6 +196,14 @@ def _numbers(folder: Path, seconds_per_picture: float) -> dict[str, Any]:
         "estimate": last_estimate(acquired.get("levels", [])).get("estimated_error"),
         "verified": manifest_or_empty(folder / "verification.json").get("mean_error"),
     }
+
+
+def _pictures(folder: Path) -> int | None:
+    """Return the number of pictures on the rig; None where captures are missing or damaged."""
+    try:
+        return captured_pictures(FolderStorage(folder)).total or None
+    except (RfpipeError, KeyError):
+        return None
 
 
 def _seconds(folder: Path, seconds_per_picture: float) -> float | None:

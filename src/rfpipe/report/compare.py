@@ -20,8 +20,10 @@ from rfpipe.methods.base import get_method
 from rfpipe.provenance import fingerprint
 from rfpipe.report.inputs import read_json, seconds_spent
 from rfpipe.report.text import rounded_percent
-from rfpipe.stages.evaluate import errors_by_level, pictures_by_level
+from rfpipe.stages.evaluate import errors_by_level
 from rfpipe.storage.base import VERIFICATION_MANIFEST
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.store import open_arrays
 
 if TYPE_CHECKING:
@@ -46,7 +48,7 @@ class CostPoint:
     patterns : float
         Number of patterns of the method.
     pictures : float
-        Number of pictures taken on the rig, with references; NaN where unknown.
+        Number of pictures on the rig for all purposes; NaN where unknown.
     seconds : float
         Time of these pictures and of processing; NaN where unknown.
     """
@@ -214,10 +216,10 @@ def _points(folder: Path, facts: Mapping[str, Any], seconds: float) -> Iterator[
         error = read_json(folder / VERIFICATION_MANIFEST).get("mean_error")
         last = max((row["level"] for row in facts["levels"]), default=0)
         errors = [] if error is None else [(last, facts["patterns"], error)]
-    pictures = pictures_by_level(folder)
+    storage = FolderStorage(folder)
     for level, patterns, error in errors:
-        count = sum(number for at, number in pictures.items() if at <= level) or math.nan
-        yield CostPoint(error, patterns, count, seconds_spent(folder, seconds, level).total)
+        pictures = captured_pictures(storage, level).total or math.nan
+        yield CostPoint(error, patterns, pictures, seconds_spent(folder, seconds, level).total)
 
 
 def curves_of(acquired: Iterable[Acquired]) -> dict[tuple[str, str], list[CostPoint]]:

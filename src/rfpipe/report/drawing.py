@@ -178,7 +178,7 @@ def new_figure(
 def scene_curves(
     scenes: Sequence[tuple[str, Any]], draw_scene: Callable[[Axes, Any], None]
 ) -> Figure:
-    """Draw errors against patterns on logarithmic axes, with a panel for each scene.
+    """Draw errors against pictures on the rig on logarithmic axes, with a panel for each scene.
 
     Parameters
     ----------
@@ -195,7 +195,7 @@ def scene_curves(
         axis.set_axis_off()
     for axis, (title, scene) in zip(axes.flat, scenes, strict=False):
         axis.set_title(title, fontsize=9, pad=4)
-        axis.set(xscale="log", yscale="log", xlabel="patterns", ylabel="error, %")
+        axis.set(xscale="log", yscale="log", xlabel="pictures on the rig", ylabel="error, %")
         axis.grid(True, linewidth=0.4, color="#dddddd")
         for direction, marks in ((axis.xaxis, (1,)), (axis.yaxis, (1, 2, 5))):
             plain_numbers(direction, marks)

@@ -1,15 +1,18 @@
-"""Errors against the number of patterns, true and estimated, and errors by relighting pattern."""
+"""Errors against pictures on the rig, true and estimated, and errors by relighting pattern."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
+from math import inf, nan
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.report.drawing import scene_curves
 from rfpipe.report.inputs import RelitAcquisition, ReportInputs, SeedGroup
 from rfpipe.report.page import Block, Column, Illustration, Section, table_of
 from rfpipe.report.text import ERROR, fixed, indirect_percent, rounded_percent, words
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 
 if TYPE_CHECKING:
@@ -28,16 +31,16 @@ _ESTIMATED: dict[str, Any] = {
 
 def speed_section(inputs: ReportInputs) -> Section | None:
     """Return the section of errors: level by level, true and estimated, and by pattern."""
-    table, steps = known_errors(inputs), histories(inputs.runs)
+    table, steps = known_errors(inputs), histories(inputs)
     names = {*table["scene"], *steps["scene"]}
     if not names:
         return None
     groups = [group for group in inputs.seed_groups if names & {*group.scenes}]
     caption = (
-        "Mean error of relit pictures against the number of patterns, for an acquisition that ends "
-        "after each level. Filled marks: methods that fit all their pictures together, whose error "
-        "is known only after their last level. Crosses: the mean error as the method estimated it "
-        "during the acquisition. "
+        "Mean error of relit pictures against the number of pictures on the rig for all purposes, "
+        "for an acquisition that ends after each level. Filled marks: methods that fit all their "
+        "pictures together, whose error is known only after their last level. Crosses: the mean "
+        "error as the method estimated it during the acquisition. "
     )
     if any(is_verified_alone(run) for run in inputs.runs):
         caption += "Real scenes: error of verification pictures. "
@@ -77,13 +80,19 @@ def known_errors(inputs: ReportInputs) -> pd.DataFrame:
 
     verified = [
         {"scene": run.scene, "method": run.method, "patterns": run.patterns,
-         "error": run.verified["mean_error"]}
+         "pictures": _pictures(inputs, run), "error": run.verified["mean_error"]}
         for run in inputs.runs
         if is_verified_alone(run)
     ]  # fmt: skip
     if not verified:
         return inputs.speed_error
     return pd.concat([inputs.speed_error, pd.DataFrame(verified)], ignore_index=True)
+
+
+def _pictures(inputs: ReportInputs, run: RelitAcquisition, last_level: float = inf) -> float:
+    """Return the number of pictures on the rig up to a level; NaN without captures."""
+    folder = FolderStorage(inputs.results / run.scene / run.method)
+    return captured_pictures(folder, last_level).total or nan
 
 
 def speed_figure(
@@ -101,7 +110,7 @@ def speed_figure(
             _draw_bars(axis, over_seeds(rows, "estimated_error"), style)
         brute: dict[str, Any] = {"color": _GREY, "linewidth": 0.9, "linestyle": "-."}
         rays = inputs.of_scene(group.scenes[0])[0].rays
-        axis.axvline(rays, label="patterns of brute force", **brute)
+        axis.axvline(rays, label="patterns of brute force, alone", **brute)
         if len(steps):
             axis.plot([], [], label="as the method estimated it", color=_GREY, **_ESTIMATED)
 
@@ -124,13 +133,13 @@ def _draw_curve(axis: Axes, rows: pd.DataFrame, style: Mapping[str, Any]) -> Non
 
 
 def _draw_bars(axis: Axes, rows: pd.DataFrame, style: Mapping[str, Any]) -> None:
-    """Draw errors against patterns, both with their standard deviations where there are any."""
+    """Draw errors against pictures, both with their standard deviations where there are any."""
     spread: dict[str, Any] = {
         direction: rows[name].fillna(0) if rows[name].notna().any() else None
-        for direction, name in (("xerr", "patterns_sd"), ("yerr", "error_sd"))
+        for direction, name in (("xerr", "pictures_sd"), ("yerr", "error_sd"))
     }
     lines: dict[str, Any] = {"elinewidth": 0.9, "capsize": 2}
-    axis.errorbar(rows["patterns"], rows["error"], **spread, **lines, **style)
+    axis.errorbar(rows["pictures"], rows["error"], **spread, **lines, **style)
 
 
 def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
@@ -139,38 +148,40 @@ def over_seeds(rows: pd.DataFrame, column: str) -> pd.DataFrame:
     Parameters
     ----------
     rows : DataFrame
-        ``scene``, ``patterns`` and the column, for a method; the steps of each scene in order.
+        ``scene``, ``pictures`` and the column, for a method; the steps of each scene in order.
     column : str
         Errors as fractions.
 
     Returns
     -------
     DataFrame
-        ``patterns``, ``error``, ``patterns_sd`` and ``error_sd``, one row per step; the deviations
+        ``pictures``, ``error``, ``pictures_sd`` and ``error_sd``, one row per step; the deviations
         are NaN for a single scene.
     """
     step = rows.groupby("scene", sort=False).cumcount()
-    groups = rows.assign(error=100 * rows[column]).groupby(step)[["patterns", "error"]]
+    groups = rows.assign(error=100 * rows[column]).groupby(step)[["pictures", "error"]]
     return groups.mean().join(groups.std().add_suffix("_sd"))
 
 
-def histories(runs: Sequence[RelitAcquisition]) -> pd.DataFrame:
+def histories(inputs: ReportInputs) -> pd.DataFrame:
     """Return the error estimates of all runs.
 
     Returns
     -------
     DataFrame
-        ``scene``, ``method`` and `HISTORY_COLUMNS`. Rows that repeat the estimate of the previous
-        level are omitted: levels that refine a hierarchy, and fits to more pictures that are worse.
+        ``scene``, ``method``, ``pictures`` on the rig and `HISTORY_COLUMNS`. Rows that repeat the
+        estimate of the previous level are omitted: levels that refine a hierarchy, and fits to more
+        pictures that are worse.
     """
     import pandas as pd
 
     rows = [
-        {"scene": run.scene, "method": run.method, **step}
-        for run in runs
+        {"scene": run.scene, "method": run.method,
+         "pictures": _pictures(inputs, run, step["level"]), **step}
+        for run in inputs.runs
         for step in made_estimates(run.facts["levels"])
-    ]
-    return pd.DataFrame(rows, columns=["scene", "method", *HISTORY_COLUMNS])
+    ]  # fmt: skip
+    return pd.DataFrame(rows, columns=["scene", "method", "pictures", *HISTORY_COLUMNS])
 
 
 def made_estimates(level_rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from rfpipe.report.inputs import RelitAcquisition, ReportInputs, pictures_of, rig_of, seconds_spent
+from rfpipe.report.inputs import RelitAcquisition, ReportInputs, rig_of, seconds_spent
 from rfpipe.report.page import Block, Column, Gallery, Section, Table, table_of
 from rfpipe.report.pictures import scene_pictures
 from rfpipe.report.targets import ending_of, missed_target_texts
 from rfpipe.report.text import ERROR, fixed, indirect_percent, number, rig_standing, rounded_percent
 from rfpipe.report.verification import alarms_of, summary
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.transport.base import last_estimate
 
 _EXACT, _RECORDED, _NOTHING = "exact truth", "recording", "not verified"
@@ -26,6 +29,17 @@ _NUMBERS: tuple[Column, ...] = (
     ("estimated error, %", "estimated_error", rounded_percent),
 )
 _TIME: Column = ("time, min", "minutes", fixed(1))
+
+_PURPOSES: tuple[Column, ...] = (
+    ("references", "reference_pictures", number),
+    ("symmetry test", "symmetry_pictures", number),
+    ("patterns", "patterns", number),
+    ("check pictures", "check_pictures", number),
+    ("verification", "verification_pictures", number),
+    ("pictures on the rig", "pictures", number),
+    ("exposures", "frames", number),
+    ("minutes on the rig", "capture_minutes", fixed(1)),
+)
 
 
 def glance_section(inputs: ReportInputs) -> Section:
@@ -56,6 +70,8 @@ def glance_section(inputs: ReportInputs) -> Section:
     tables = _main_table(inputs, results, shown, alarmed), seeds_table(inputs, results)
     blocks: list[Block] = [table for table in tables if table is not None]
     blocks.append(Gallery([scene_pictures(inputs, group) for group in inputs.seed_groups]))
+    purposes = _pictures_table(inputs, results)
+    blocks += [] if purposes is None else [purposes]
     text = _omissions(inputs)
     text += [summary(inputs, run) for run in inputs.runs if run.verified]
     return Section("glance", "At a glance", blocks, text, alarms)
@@ -90,6 +106,21 @@ def _main_table(
     )  # fmt: skip
 
 
+def _pictures_table(inputs: ReportInputs, results: Sequence[Mapping[str, Any]]) -> Table | None:
+    """Return the table of the pictures on the rig by purpose; None where no capture is known."""
+    known = [row for row in results if row["pictures"]]
+    if not known:
+        return None
+    seconds = inputs.config.capture.seconds_per_pattern
+    caption = (
+        "Brackets that the rig took, by their purpose, and their exposures. Minutes on the rig: "
+        f"{seconds:g} s for each picture. Patterns are those of the method, as the thesis counts "
+        "them. Numbers: tables/results.csv."
+    )
+    shown = [{**row, "capture_minutes": row["capture_s"] / 60} for row in known]
+    return table_of("Pictures on the rig", caption, shown, inputs.labels, _PURPOSES)
+
+
 def _omissions(inputs: ReportInputs) -> list[str]:
     """Return sentences on the light that the simulation of a scene omits."""
     return [
@@ -103,8 +134,8 @@ def _caption(inputs: ReportInputs, results: Sequence[Mapping[str, Any]]) -> str:
     """Return the caption of the main table."""
     kinds = {row["verified"] for row in results}
     pictures = (
-        "Pictures on the rig: of the patterns, reference brackets, random patterns of the symmetry "
-        "test, and check pictures; verification pictures are not counted."
+        "Pictures on the rig: brackets for all purposes, which are patterns, references, random "
+        "patterns of the symmetry test, check pictures and verification pictures."
     )
     sentences = [pictures]
     if kinds != {_NOTHING}:
@@ -146,8 +177,9 @@ def result_of(inputs: ReportInputs, run: RelitAcquisition) -> dict[str, Any]:
         Values that are unknown are None.
 
         ``scene``, ``method``; ``rays``, the number of patterns of brute force; ``patterns``;
-        ``pictures`` on the rig, see `rfpipe.report.inputs.pictures_of`; ``megabytes`` of the
-        transport, 10^6 bytes on disk.
+        ``pictures`` on the rig for all purposes, ``reference_pictures``, ``symmetry_pictures``,
+        ``check_pictures`` and ``verification_pictures`` among them, and their ``frames``, see
+        `rfpipe.storage.picture_counts`; ``megabytes`` of the transport, 10^6 bytes on disk.
 
         ``capture_s``: time of these pictures; ``processing_s``: wall time of all jobs except
         captures, see `rfpipe.report.inputs.seconds_spent`; ``minutes``: their sum.
@@ -171,7 +203,7 @@ def result_of(inputs: ReportInputs, run: RelitAcquisition) -> dict[str, Any]:
         "method": run.method,
         "rays": run.rays,
         "patterns": run.patterns,
-        "pictures": pictures_of(folder),
+        **_picture_numbers(folder),
         "megabytes": run.facts["bytes"] / 1e6,
         "capture_s": spent.capture,
         "processing_s": spent.processing,
@@ -184,6 +216,20 @@ def result_of(inputs: ReportInputs, run: RelitAcquisition) -> dict[str, Any]:
         "grain": recorded.get("whole"),
         "grain_unlit": recorded.get("unlit"),
     }
+
+
+def _picture_numbers(folder: Path) -> dict[str, int | None]:
+    """Return the numbers of pictures on the rig and of frames; None without captures."""
+    counts = captured_pictures(FolderStorage(folder))
+    numbers = {
+        "pictures": counts.total,
+        "reference_pictures": counts.references,
+        "symmetry_pictures": counts.symmetry,
+        "check_pictures": counts.checks,
+        "verification_pictures": counts.verification,
+        "frames": counts.frames,
+    }
+    return {name: value if counts.total else None for name, value in numbers.items()}
 
 
 def _known(value: float | None) -> float | None:

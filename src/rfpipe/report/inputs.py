@@ -17,8 +17,9 @@ from rfpipe.provenance import fingerprint
 from rfpipe.report.drawing import Panel
 from rfpipe.report.page import Column
 from rfpipe.report.text import words
-from rfpipe.stages.evaluate import pictures_by_level
 from rfpipe.storage.base import VERIFICATION_MANIFEST
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 
 if TYPE_CHECKING:
@@ -304,20 +305,14 @@ def rig_of(results: Path, run: RelitAcquisition) -> dict[str, Any]:
     return dict(read_json(results / run.scene / run.method / "L00/capture.json").get("rig", {}))
 
 
-def pictures_of(folder: Path) -> int | None:
-    """Return the number of pictures of an acquisition; None if unknown."""
-    by_level = pictures_by_level(folder)
-    return sum(by_level.values()) if by_level else None
-
-
 class Spent(NamedTuple):
     """Time of an acquisition in seconds.
 
     Attributes
     ----------
     capture : float
-        Time of all pictures on the rig, see `rfpipe.stages.evaluate.pictures_by_level`; NaN if
-        their number is unknown.
+        Time of all pictures on the rig, see `rfpipe.storage.picture_counts`; NaN if their number is
+        unknown.
     processing : float
         Wall time of all jobs except captures; NaN if they recorded none.
     """
@@ -332,7 +327,7 @@ class Spent(NamedTuple):
 
 
 def seconds_spent(folder: Path, seconds_per_picture: float, last_level: float = math.inf) -> Spent:
-    """Return the time of an acquisition up to a level, including the assembly of its transport.
+    """Return the time of an acquisition up to a level, with assembly and verification pictures.
 
     Parameters
     ----------
@@ -343,13 +338,12 @@ def seconds_spent(folder: Path, seconds_per_picture: float, last_level: float = 
     last_level : float
         Last level to include; by default all levels.
     """
-    pictures = pictures_by_level(folder)
-    n_pictures = sum(count for level, count in pictures.items() if level <= last_level)
+    pictures = captured_pictures(FolderStorage(folder), last_level).total
     jobs = [*seconds_by_level(folder).items()]
     jobs += [(0, seconds) for stage, seconds in job_times(folder) if stage == "assemble"]
     processing = sum(seconds for level, seconds in jobs if level <= last_level)
     return Spent(
-        seconds_per_picture * n_pictures if pictures else math.nan, processing if jobs else math.nan
+        seconds_per_picture * pictures if pictures else math.nan, processing if jobs else math.nan
     )
 
 

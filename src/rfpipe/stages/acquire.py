@@ -31,6 +31,7 @@ from rfpipe.stages.verification import (
 )
 from rfpipe.storage.base import VERIFICATION
 from rfpipe.storage.memory import MemoryStorage
+from rfpipe.storage.picture_counts import PictureCounts, captured_pictures
 from rfpipe.transport import Transport
 
 if TYPE_CHECKING:
@@ -46,9 +47,9 @@ class AcquisitionResult:
     Attributes
     ----------
     transport : Transport
-    patterns : int
-        Patterns of all levels, without those of reference brackets, symmetry test, check pictures
-        and verification.
+    picture_counts : PictureCounts
+        Pictures on the rig by purpose: patterns, references, symmetry test, check pictures and
+        verification; and their exposures.
     capture_seconds, processing_seconds : float
         Wall time of captures, and of everything else.
     saturated : int
@@ -61,7 +62,7 @@ class AcquisitionResult:
     """
 
     transport: Transport
-    patterns: int
+    picture_counts: PictureCounts
     capture_seconds: float
     processing_seconds: float
     saturated: int
@@ -70,8 +71,19 @@ class AcquisitionResult:
 
     def __repr__(self) -> str:
         return (
-            f"AcquisitionResult({self.patterns} patterns, {self.seconds:.3g} s, {self.transport})"
+            f"AcquisitionResult({self.patterns} patterns, {self.pictures} pictures on the rig, "
+            f"{self.seconds:.3g} s, {self.transport})"
         )
+
+    @property
+    def patterns(self) -> int:
+        """Patterns of all levels of the method, as the thesis counts them."""
+        return self.picture_counts.patterns
+
+    @property
+    def pictures(self) -> int:
+        """Pictures on the rig for all purposes, one bracket each."""
+        return self.picture_counts.total
 
     @property
     def levels(self) -> pd.DataFrame:
@@ -205,13 +217,10 @@ def _result(
     levels = len(acquisition.state.rows)
     transport, masked = assembled(acquisition, levels)
     verified = _verified(acquisition, transport, verification) if verification else None
-    captured, merged = (
-        [storage.read_manifest(level, stage) for level in range(levels)]
-        for stage in ("capture", "merge")
-    )
+    merged = [storage.read_manifest(level, "merge") for level in range(levels)]
     return AcquisitionResult(
         transport,
-        sum(facts["patterns"] for facts in captured),
+        captured_pictures(storage, levels - 1),
         storage.seconds["capture"],
         perf_counter() - began - storage.seconds["capture"],
         sum(facts["saturated"] for facts in merged),

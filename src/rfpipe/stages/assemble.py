@@ -13,6 +13,7 @@ from rfpipe.stages.context import Acquisition
 from rfpipe.stages.normalize import masked_rays
 from rfpipe.storage.base import REFERENCE_IMAGES, scheduled_levels
 from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import pictures_of_levels
 from rfpipe.storage.results import current_manifest
 from rfpipe.store import write_manifest
 from rfpipe.transport import Transport, save_transport
@@ -47,12 +48,12 @@ def run(acquisition: Acquisition) -> None:
     store = manifest.with_suffix(".zarr")
     digest = save_transport(transport, store, settings.number_format, resumes=True, **origin)
     masked_count = int(np.count_nonzero(masked))
-    facts = _facts(acquisition, transport)
+    facts = _facts(acquisition, transport, len(levels))
     facts |= {"inputs": inputs, "digest": digest, "masked": masked_count, "versions": versions()}
     write_manifest(manifest, {**origin, **facts})
 
 
-def _facts(acquisition: Acquisition, transport: Transport) -> dict[str, Any]:
+def _facts(acquisition: Acquisition, transport: Transport, levels: int) -> dict[str, Any]:
     """Describe an acquisition and its transport for the manifest."""
     plan, settings = acquisition.plan, acquisition.settings
     return {
@@ -65,6 +66,8 @@ def _facts(acquisition: Acquisition, transport: Transport) -> dict[str, Any]:
         "units": RADIANCE_UNIT,
         "levels": transport.level_rows,
         "patterns": sum(int(row["patterns"]) for row in transport.level_rows),
+        # without verification, which follows the transport
+        "pictures": pictures_of_levels(acquisition.storage, levels - 1).by_purpose(),
         "options": plan.options.options(),
         **({"sources": dict(settings.sources)} if settings.sources else {}),
     }

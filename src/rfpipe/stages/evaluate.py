@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.relighting import picture_squared_norms
-from rfpipe.storage.base import CHECK_PICTURES, REFERENCE_BRACKETS, SYMMETRY
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.store import ArrayBundle, open_arrays, read_manifest
 from rfpipe.store.files import write_atomically
 
@@ -19,9 +20,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 Image = NDArray[Any]
-
-_PICTURE_PARTS = (REFERENCE_BRACKETS, SYMMETRY, CHECK_PICTURES)
-"""Keys of the brackets in a capture's manifest, beside those of the level's patterns."""
 
 _NAMES = ["scene", "method"]
 
@@ -88,38 +86,24 @@ def speed_error_table(
     Returns
     -------
     pandas.DataFrame
-        ``scene``, ``method``, ``level``; number of ``patterns`` and seconds of capture,
-        ``capture_s``, up to the level, for all pictures on the rig (for the patterns only if
-        captures are missing); mean ``error``. A transport that is fitted to all its pictures
+        ``scene``, ``method``, ``level``; numbers of ``patterns`` and of ``pictures`` on the rig up
+        to the level, see `captured_pictures`; ``capture_s``, their time in seconds; mean ``error``.
+        Without captures, pictures and time are NaN. A transport that is fitted to all its pictures
         together has a single row, for its last level.
     """
     import pandas as pd
 
     rows = []
     for manifest in relight_manifests:
-        pictures = pictures_by_level(manifest.parent)
+        storage = FolderStorage(manifest.parent)
         for facts, _ in _with_truth([manifest]):
             names = [facts[key] for key in _NAMES]
             for level, patterns, error in errors_by_level(facts):
-                n_pictures = sum(n for at, n in pictures.items() if at <= level) or patterns
-                seconds = n_pictures * seconds_per_pattern
-                rows.append([*names, level, patterns, seconds, error])
-    return pd.DataFrame(rows, columns=[*_NAMES, "level", "patterns", "capture_s", "error"])
-
-
-def pictures_by_level(folder: Path) -> dict[int, int]:
-    """Return the number of pictures captured for each level of an acquisition.
-
-    They include reference brackets, random patterns of the symmetry test, and check pictures, but
-    not verification pictures.
-    """
-    pictures = {}
-    for path in sorted(folder.glob("L[0-9]*/capture.json")):
-        facts = read_manifest(path)
-        parts = [facts[name] for name in _PICTURE_PARTS if name in facts]
-        n_further = sum(part["shape"][0] for part in parts)
-        pictures[int(path.parent.name[1:])] = facts["patterns"] + n_further
-    return pictures
+                pictures = captured_pictures(storage, level).total or float("nan")
+                seconds = pictures * seconds_per_pattern
+                rows.append([*names, level, patterns, pictures, seconds, error])
+    columns = [*_NAMES, "level", "patterns", "pictures", "capture_s", "error"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def errors_by_level(facts: Mapping[str, Any]) -> list[tuple[int, int, float]]:

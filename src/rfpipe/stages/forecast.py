@@ -1,4 +1,4 @@
-"""Forecast of a run: number of patterns, time, memory and disk space of each acquisition."""
+"""Forecast of a run: pictures on the rig, time, memory and disk space of each acquisition."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from rfpipe.references.check_pictures import check_picture_count
+from rfpipe.storage.picture_counts import PictureCounts
 from rfpipe.units import RADIANCE, SYMMETRY_BRACKETS
 
 if TYPE_CHECKING:
@@ -14,6 +16,7 @@ if TYPE_CHECKING:
 
     from rfpipe.config import Config
     from rfpipe.photometry import Sensor
+    from rfpipe.stages.plan import Plan
 
 _BLOCK_BYTES = 4096
 """Block size of file systems; a file takes whole blocks."""
@@ -39,9 +42,10 @@ def forecast(settings: Config) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row for each acquisition: ``scene``, ``method``; number of ``rays`` of the projector;
-        expected number of ``patterns``, their ``seconds`` on the rig and uncompressed size on
-        ``disk`` in bytes; ``max_patterns``, ``max_seconds`` and ``max_disk``, their upper limits;
-        ``memory`` in bytes.
+        expected numbers of ``patterns`` and of ``pictures`` on the rig for all purposes, the
+        ``seconds`` of these pictures and of the warm-up, and their uncompressed size on ``disk`` in
+        bytes; ``max_patterns``, ``max_pictures``, ``max_seconds`` and ``max_disk``, their upper
+        limits; ``memory`` in bytes.
 
     Raises
     ------
@@ -50,7 +54,6 @@ def forecast(settings: Config) -> pd.DataFrame:
     """
     import pandas as pd
 
-    from rfpipe.photometry import ExactSensor, sensor_from_config
     from rfpipe.stages.plan import Plan
     from rfpipe.stages.settings import plan_settings
 
@@ -58,34 +61,61 @@ def forecast(settings: Config) -> pd.DataFrame:
     for scene, name in settings.acquisitions:
         plan = Plan.of(**plan_settings(settings, scene, name))
         scene_settings = settings.of_scene(scene)
-        capture, sensor = scene_settings.capture, sensor_from_config(scene_settings.camera)
-        is_exact = isinstance(sensor, ExactSensor)
-        n_further = 2 if is_exact else capture.all_off_brackets + capture.all_on_brackets
-        n_further += plan.measures_symmetry * SYMMETRY_BRACKETS
-        n_verification = scene_settings.verification_pictures
-        has_check_pictures = n_verification > 0 and capture.precautions.check_interval > 0
-        # a check picture is taken before and after the verification pictures
-        # a check picture before the first and after the last verification picture
-        n_further += n_verification + 2 * has_check_pictures
         expected = plan.description.forecast(
             plan.camera, plan.projector, plan.channels, plan.options
         )
-        warm_up = 60 * capture.warm_up_minutes
-        camera = plan.camera.shape, plan.channels
-        counts = {"": expected.patterns, "max_": expected.max_patterns}
-        costs: dict[str, float] = {}
-        for prefix, count in counts.items():
-            brackets = n_further + capture.keep_raw * count
-            costs |= {
-                f"{prefix}patterns": count,
-                f"{prefix}seconds": warm_up + capture.seconds_per_pattern * (count + n_further),
-                f"{prefix}disk": disk_bytes(sensor, *camera, brackets, count),
-            }
         rows.append(
             {
-                "scene": scene, "method": name,
-                "rays": plan.projector.size, **costs,
+                "scene": scene, "method": name, "rays": plan.projector.size,
+                **_costs(scene_settings, plan, expected.patterns),
+                **{
+                    f"max_{key}": value
+                    for key, value in _costs(scene_settings, plan, expected.max_patterns).items()
+                },
                 "memory": expected.memory_bytes + settings.scenes[scene].simulation_bytes,
             }
         )  # fmt: skip
     return pd.DataFrame(rows)
+
+
+def _costs(settings: Config, plan: Plan, patterns: int) -> dict[str, float]:
+    """Return the cost of an acquisition of a number of patterns; see `forecast`."""
+    from rfpipe.photometry import sensor_from_config
+
+    capture, sensor = settings.capture, sensor_from_config(settings.camera)
+    pictures = expected_pictures(settings, plan, patterns).total
+    stored = pictures - (0 if capture.keep_raw else patterns)
+    return {
+        "patterns": patterns,
+        "pictures": pictures,
+        "seconds": 60 * capture.warm_up_minutes + capture.seconds_per_pattern * pictures,
+        "disk": disk_bytes(sensor, plan.camera.shape, plan.channels, stored, patterns),
+    }
+
+
+def expected_pictures(settings: Config, plan: Plan, patterns: int) -> PictureCounts:
+    """Return the pictures on the rig of an acquisition that takes a number of patterns.
+
+    Parameters
+    ----------
+    settings : Config
+        Settings of the scene, see `Config.of_scene`.
+    plan : Plan
+    patterns : int
+    """
+    from rfpipe.photometry import ExactSensor, sensor_from_config
+
+    capture, verification = settings.capture, settings.verification_pictures
+    is_exact = isinstance(sensor_from_config(settings.camera), ExactSensor)
+    interval = capture.precautions.check_interval if capture.watch != "off" else 0
+    checks = 0
+    if interval:
+        # a level and the verification have a check picture more than intervals
+        checks = check_picture_count(patterns, interval) + 2 * (verification > 0)
+    return PictureCounts(
+        references=2 if is_exact else capture.all_off_brackets + capture.all_on_brackets,
+        symmetry=plan.measures_symmetry * SYMMETRY_BRACKETS,
+        patterns=patterns,
+        checks=checks,
+        verification=verification,
+    )

@@ -29,12 +29,11 @@ import numpy as np
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import (
     ALL_SHOWN,
-    EXPECTED_PATTERNS,
-    EXPECTED_POWER,
     LIMIT_REACHED,
     Decision,
     HierarchyCost,
     end,
+    expected_patterns,
     next_pattern_count,
     target_of,
 )
@@ -387,10 +386,9 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
-        """Forecast the patterns from the target error, see `EXPECTED_PATTERNS`."""
+        """Forecast the patterns from the target error, see `expected_patterns`."""
         check_rays(self, camera, projector)
-        ratio = 0.01 / target_of(options)
-        typical = projector.views * EXPECTED_PATTERNS * float(ratio**EXPECTED_POWER)
+        typical = expected_patterns(projector.views, target_of(options))
         max_patterns = self._max_patterns(projector, options)
         patterns = min(round(typical), projector.size, max_patterns)
         return self.forecast_of(camera, channels, patterns, max_patterns)

@@ -150,7 +150,7 @@ class Symmetric(BlockTreeMethod[SymmetricState]):
     colour = "#1f5a9e"
     needs_coaxial_rig = True
     bytes_per_ray = 20_000
-    thesis_patterns = 1_085  # of scene II
+    level_patterns, power = 11.5, 0.7
     Options = SymmetricOptions
     trials = TOLERANCES
 

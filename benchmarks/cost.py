@@ -1,0 +1,133 @@
+"""The tables of docs/cost.md: what acquisitions cost on a rig, from tables of measurements.
+
+`benchmarks.measured` writes them into the page. Times on the rig are those of all pictures, at
+`SECONDS` each.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from benchmarks.methods.cases import AUTO, CAMERAS, SIDE, newest
+from benchmarks.methods.page import markdown
+from benchmarks.methods.scenes import shape_of
+from rfpipe.photometry import CameraModel
+from rfpipe.stages.forecast import disk_bytes
+
+SECONDS = 2.0
+"""Seconds of a picture on the rig, ``capture.seconds_per_pattern`` by default."""
+
+_HOURS = 8  # of a night
+_GIB = 2**30
+_QUARTILES = (0.25, 0.5, 0.75)
+_SIDES = ("48", "96", "192")
+_RUNS = {  # of `make thesis` and config/large.yaml, RGB: shape of the rays, and target error
+    ("planes_iv", "near_far"): ((310, 350), 0.005),
+    ("planes_iv", "near_far_fine"): ((310, 350), 0.0025),
+    ("light_field", "auto"): ((9, 130, 200), 0.02),
+    ("sweets", "auto"): ((240, 340), 0.01),
+    ("still_life", "auto"): ((240, 340), 0.01),
+}
+
+
+def by_target(benchmark: Path) -> str:
+    """Return the cost of `AUTO` at the benchmark's side, by light and target.
+
+    Parameters
+    ----------
+    benchmark : Path
+        The benchmark's table of acquisitions.
+    """
+    rows = newest(benchmark)
+    rows = rows[(rows["method"] == AUTO) & (rows["side"] == SIDE) & (rows["status"] == "done")]
+    rows = rows.assign(is_test=rows["held_out_scene"].astype(bool))
+    lines = []
+    for light in CAMERAS:
+        of_light = rows[rows["light"] == light]
+        for (target, is_test), group in of_light.groupby(["value", "is_test"], sort=True):
+            # one number of each scene, whatever the number of its seeds
+            scenes = group.groupby("scene")[["pictures", "patterns", "processing_s"]].median()
+            quarter, half, three_quarters = scenes["pictures"].quantile([*_QUARTILES])
+            lines.append(
+                [light, f"{100 * target:g} %", "test" if is_test else "tuning", str(len(scenes)),
+                 f"{half:.0f} ({scenes['patterns'].median():.0f})",
+                 f"{quarter:.0f} to {three_quarters:.0f}", _minutes(half), _a_night(half),
+                 f"{scenes['processing_s'].median() / 60:.1f}"]
+            )  # fmt: skip
+    head = ["light", "target", "", "scenes", "pictures (patterns)", "half of the scenes",
+            "minutes on the rig", f"scenes in {_HOURS} hours", "processing, min"]  # fmt: skip
+    return markdown(head, lines)
+
+
+def by_size(folder: Path) -> str:
+    """Return the cost of acquisitions of several sizes.
+
+    Parameters
+    ----------
+    folder : Path
+        Of the tables of docs/measured.md.
+    """
+    measured = list(_of_sides(folder / "acquisitions.csv"))
+    runs = [*_of_runs(folder / "thesis_run.csv"), *_of_runs(folder / "large.csv")]
+    stages = pd.read_csv(folder / "large_stages.csv")
+    lines = []
+    for row in [*measured, *runs]:
+        shape, channels, pictures = row["shape"], row["channels"], row["pictures"]
+        patterns = row["patterns"]
+        disk = disk_bytes(CameraModel(), shape, channels, pictures, patterns)
+        seconds = row.get("processing_s", _processing_seconds(stages, row))
+        lines.append(
+            [" x ".join(map(str, shape)) + (", RGB" if channels == 3 else ""), row["scene"],
+             f"{100 * row['target']:g} %", f"{pictures} ({patterns})", _minutes(pictures),
+             f"{disk / _GIB:.2g}", f"{row['megabytes']:.3g}",
+             "" if math.isnan(seconds) else f"{seconds / 60:.1f}"]
+        )  # fmt: skip
+    head = ["rays", "scene", "target", "pictures (patterns)", "minutes on the rig", "GiB on disk",
+            "MB of transport", "processing, min"]  # fmt: skip
+    return markdown(head, lines)
+
+
+def _of_sides(table: Path) -> Iterator[dict[str, Any]]:
+    """Yield the acquisitions by `AUTO` of several sides, grey."""
+    rows = newest(table)
+    for row in rows[(rows["method"] == AUTO) & rows["side"].isin(_SIDES)].itertuples():
+        yield {
+            "shape": shape_of(row.side), "channels": 1, "scene": f"`{row.scene}`",
+            "target": row.value, "pictures": row.pictures, "patterns": row.patterns,
+            "megabytes": row.stored_mb, "processing_s": row.processing_s,
+        }  # fmt: skip
+
+
+def _of_runs(table: Path) -> Iterator[dict[str, Any]]:
+    """Yield the acquisitions of a run in `_RUNS`, RGB, after their last levels."""
+    rows = pd.read_csv(table).groupby(["scene", "method"], sort=False).tail(1)
+    for row in rows.itertuples():
+        if (row.scene, row.method) in _RUNS:
+            shape, target = _RUNS[row.scene, row.method]
+            yield {
+                "shape": shape, "channels": 3, "scene": f"`{row.scene}`", "target": target,
+                "pictures": row.pictures, "patterns": row.patterns, "megabytes": row.megabytes,
+            }  # fmt: skip
+
+
+def _processing_seconds(stages: pd.DataFrame, row: dict[str, Any]) -> float:
+    """Return the processor seconds of the stages of a run that process; NaN if unknown."""
+    of_run = stages[(stages["scene"] == row["scene"].strip("`")) & (stages["method"] == AUTO)]
+    names = ["schedule", "merge", "normalize", "refine", "assemble"]
+    return (
+        float(of_run[of_run["stage"].isin(names)]["processor_s"].sum()) if len(of_run) else math.nan
+    )
+
+
+def _minutes(pictures: float) -> str:
+    return f"{SECONDS * pictures / 60:.1f}"
+
+
+def _a_night(pictures: float) -> str:
+    """Return the number of scenes of a night, with placing and processing at the same time."""
+    return f"{3600 * _HOURS / (SECONDS * pictures):,.0f}"
