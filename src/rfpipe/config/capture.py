@@ -37,19 +37,24 @@ class Precautions(NamedTuple):
         Pictures that verify a transport, 0 for none.
     divide_out_drift : bool
         Divide images by the brightness of the lamp.
+    all_off_brackets, all_on_brackets : int or None
+        Number of reference brackets; None: as many as the target error needs.
     """
 
     watch: WatchMode
     check_interval: int
     verification_pictures: int
     divide_out_drift: bool
+    all_off_brackets: int | None = None
+    all_on_brackets: int | None = None
 
 
 PRECAUTIONS: dict[CaptureKind, Precautions] = {
     "simulated": Precautions("off", 0, 0, False),
-    "remote": Precautions("refuse", 8, 9, True),
-    # somebody takes these pictures by hand, so no pattern is repeated
-    "offline": Precautions("refuse", 0, 3, False),
+    "remote": Precautions("refuse", 16, 9, True),
+    # somebody takes these pictures by hand, so no pattern is repeated between others, and all
+    # reference brackets are on the first list
+    "offline": Precautions("refuse", 0, 3, False, 2, 8),
 }
 """Precautions by the kind of rig, for runs and for `rfpipe.acquire`; any real rig is "remote"."""
 
@@ -87,11 +92,15 @@ class CaptureConfig(Settings):
         gt=0,
         le=3600,
     )
-    all_off_brackets: Batch = Field(8, description="Brackets of the all-off pattern to average.")
-    all_on_brackets: Batch = Field(
-        64,
+    all_off_brackets: Batch | None = Field(
+        None,
+        description="Brackets of the all-off pattern to average; null: as many as the target "
+        "error needs, 2 of an offline rig.",
+    )
+    all_on_brackets: Batch | None = Field(
+        None,
         description="Brackets of the all-on pattern to average; they limit the noise of the "
-        "direct light.",
+        "direct light. null: as many as the target error needs, 8 of an offline rig.",
     )
     asymmetry: Fraction = Field(
         0.05,

@@ -33,6 +33,9 @@ from rfpipe.transport.base import Transport
 TOLERANCES = (1e-2, 3e-3, 1e-3, 3e-4)
 """Tolerances for plots of speed against error, as fractions of the floodlit image's maximum."""
 
+DEFAULT_TARGET = 0.01
+"""Target of the estimated error, by default."""
+
 SIGNIFICANCE = 3.0
 """Standard deviations of its noise above which light is significant, by default."""
 
@@ -71,7 +74,7 @@ class ErrorOptions(Options):
         description="Patterns to show at most; 0 leaves it to the method.",
     )
     target_error: Fraction = Field(
-        0.01,
+        DEFAULT_TARGET,
         description="Mean error of relit pictures at which to stop, a fraction of their norm.",
     )
     target_indirect: Fraction | None = Field(

@@ -18,6 +18,7 @@ brackets are the reference. `rfpipe.references.drift` estimates the brightness a
 from __future__ import annotations
 
 import logging
+from collections import deque
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -25,10 +26,11 @@ import numpy as np
 
 from rfpipe.array_types import Double
 from rfpipe.photometry.sensor import MergedImages
+from rfpipe.references.reference_brackets import open_reference_brackets
 from rfpipe.references.reference_images import ReferenceImages
 from rfpipe.references.steadiness import is_smooth
 from rfpipe.rigs.faults import SIGNIFICANCE
-from rfpipe.storage.base import LAMP, REFERENCE_BRACKETS, SYMMETRY, Storage
+from rfpipe.storage.base import LAMP, SYMMETRY, Storage
 
 _LAST_BRACKETS = 8
 """Number of all-on brackets whose mean is the brightness at their end."""
@@ -80,15 +82,12 @@ def measure_initial_brightness(
         Whether level 0 has one pattern, the all-on one.
     """
     captured = storage.read_manifest(0, "capture")
-    off, on = (
-        captured[REFERENCE_BRACKETS][name] for name in ("all_off_brackets", "all_on_brackets")
-    )
     n_random = captured.get(SYMMETRY, {}).get("symmetry_brackets", 0)
     channels = references.floodlit.shape[-1]
     ones = np.ones(channels), np.ones((n_random, channels))
-    last = range(off + max(0, on - _LAST_BRACKETS), off + on)
-    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as store:
-        lights = [_light(references.merge(store.read(n, n + 1), n)) for n in last]
+    with open_reference_brackets(storage) as brackets:
+        last = deque(enumerate(brackets.all_on), _LAST_BRACKETS)
+        lights = [_light(references.merge(bracket, index)) for index, bracket in last]
     level_0 = _level_0_light(storage, references) if level_0_is_floodlit else None
     series = np.stack([light.total for light in (*lights, *([level_0] if level_0 else []))])
     if not (series[-1] > 0).all():

@@ -10,7 +10,7 @@ import logging
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, islice
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -29,7 +29,8 @@ from rfpipe.photometry.resampling import ResampledSensor
 from rfpipe.photometry.sensor import BracketMerge, ExactSensor, MergedImages, Sensor
 from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, RigKind, kind_of_rig
 from rfpipe.references.image_sum import ImageSum
-from rfpipe.storage.base import REFERENCE_BRACKETS, REFERENCE_IMAGES, Storage
+from rfpipe.references.reference_brackets import open_reference_brackets, reference_counts
+from rfpipe.storage.base import REFERENCE_IMAGES, Storage
 
 Brackets = NDArray[Any]
 
@@ -211,22 +212,17 @@ def _check_saturation(share: float, sensor: Sensor, rig_kind: RigKind) -> None:
 
 def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> ReferenceImages:
     """Estimate the reference images from the captured reference brackets."""
-    off, on = _bracket_counts(storage).values()
-    with storage.pictures(0, "capture", REFERENCE_BRACKETS) as store:
-        brackets = (store.read(index, index + 1) for index in range(off + on))
-        black = islice(brackets, off)
-        rig_kind = kind_of_rig(storage.read_manifest(0, "capture")["rig"])
-        return estimate_references(sensor, black, brackets, mask_defects, rig_kind)
-
-
-def _bracket_counts(storage: Storage) -> dict[str, int]:
-    captured = storage.read_manifest(0, "capture")[REFERENCE_BRACKETS]
-    return {name: captured[name] for name in ("all_off_brackets", "all_on_brackets")}
+    rig_kind = kind_of_rig(storage.read_manifest(0, "capture")["rig"])
+    with open_reference_brackets(storage) as brackets:
+        return estimate_references(
+            sensor, brackets.all_off, brackets.all_on, mask_defects, rig_kind
+        )
 
 
 def write_references(storage: Storage, references: ReferenceImages) -> dict[str, Any]:
     """Write the reference images; return their entry for the manifest of level 0's merge."""
-    counts = _bracket_counts(storage)
+    all_off, all_on = reference_counts(storage.read_manifest(0, "capture"))
+    counts = {"all_off_brackets": all_off, "all_on_brackets": all_on}
     arrays: dict[str, NDArray[Any]] = {
         "black": references.merge.black,
         "floodlit": references.floodlit,

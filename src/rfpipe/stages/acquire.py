@@ -33,6 +33,7 @@ from rfpipe.storage.base import VERIFICATION
 from rfpipe.storage.memory import MemoryStorage
 from rfpipe.storage.picture_counts import PictureCounts, captured_pictures
 from rfpipe.transport import Transport
+from rfpipe.units import SYMMETRY_BRACKETS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -106,9 +107,9 @@ def acquire(
     method: str | MethodDescription = "symmetric",
     *,
     progress: bool = True,
-    all_off_brackets: int = 8,
-    all_on_brackets: int = 64,
-    symmetry_brackets: int = 6,
+    all_off_brackets: int | None = None,
+    all_on_brackets: int | None = None,
+    symmetry_brackets: int = SYMMETRY_BRACKETS,
     asymmetry: float = 0.05,
     mask_defects: bool = True,
     watch: WatchMode | None = None,
@@ -128,11 +129,12 @@ def acquire(
         ``module:Class`` or ``file.py:Class``, or a method itself.
     progress : bool
         Whether to show progress bars of captures and fits on stderr.
-    all_off_brackets : int
-        Number of all-off brackets, whose mean is subtracted; at least 1. Exact radiance takes one.
-    all_on_brackets : int
-        Number of all-on brackets, to whose mean each level's images are scaled; at least 1. Exact
-        radiance takes one.
+    all_off_brackets : int, optional
+        Number of all-off brackets, whose mean is subtracted; at least 1. None: as many as the
+        target error needs. Exact radiance takes one.
+    all_on_brackets : int, optional
+        Number of all-on brackets, to whose mean each level's images are scaled; at least 1. None:
+        as many as the target error needs. Exact radiance takes one.
     symmetry_brackets : int
         Number of brackets of random patterns that measure whether the rig is coaxial, for methods
         that depend on it; at least 3, or 0 not to measure it.
@@ -186,6 +188,8 @@ def acquire(
     settings = AcquisitionSettings(
         all_off_brackets=all_off_brackets,
         all_on_brackets=all_on_brackets,
+        target_error=plan.target_error,
+        expected_patterns=plan.expected_patterns,
         symmetry_brackets=symmetry_brackets if plan.measures_symmetry else 0,
         # precautions of simulated rigs have no interval; the caller may set `watch` nevertheless
         # a simulated rig has no interval; a caller who sets `watch` gets check pictures even so
@@ -246,14 +250,15 @@ def _verified(acquisition: Acquisition, transport: Transport, pictures: int) -> 
 
 
 def _check(
-    all_off_brackets: int,
-    all_on_brackets: int,
+    all_off_brackets: int | None,
+    all_on_brackets: int | None,
     symmetry_brackets: int,
     verification: int,
     watch: str,
 ) -> None:
     """Raise InputError for arguments of `acquire` that are out of range."""
-    if min(all_off_brackets, all_on_brackets) < 1:
+    given = [count for count in (all_off_brackets, all_on_brackets) if count is not None]
+    if min(given, default=1) < 1:
         raise InputError(
             f"all_off_brackets is {all_off_brackets} and all_on_brackets {all_on_brackets}; "
             "at least one of each is needed"

@@ -12,21 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.calibration.symmetry import random_signs
-from rfpipe.config.capture import WatchMode
-from rfpipe.errors import CaptureError, StoreError
+from rfpipe.errors import StoreError
 from rfpipe.jobs.job import Progress
 from rfpipe.photometry import ExactSensor, Sensor, sensor_from_description
 from rfpipe.references.calibration_check import check_calibration
-from rfpipe.references.check_pictures import recovery_advice
-from rfpipe.references.steadiness import (
-    camera_model_of,
-    faults_of_reference_brackets,
-    sample_pixels,
-)
 from rfpipe.rigs import Rig
 from rfpipe.rigs.base import sequence_patterns
-from rfpipe.rigs.faults import CAPTURE
 from rfpipe.stages.brackets import BracketSet, Keys, capture_brackets
+from rfpipe.stages.capture_references import (
+    capture_references,
+    first_reference_set,
+    reference_goal,
+)
 from rfpipe.stages.context import CaptureContext
 from rfpipe.stages.forecast import disk_bytes
 from rfpipe.stages.schedule import read_schedule
@@ -44,10 +41,8 @@ from rfpipe.storage.base import (
 )
 from rfpipe.text import counted
 from rfpipe.units import (
-    BLACK_LEVEL_KEY,
     COUNT_UNIT,
     COUNTS,
-    FLOODLIT_KEY,
     RADIANCE_UNIT,
     SYMMETRY_KEY,
     WARM_UP_KEY,
@@ -86,7 +81,8 @@ def capture_level(rig: Rig, context: CaptureContext, level: int) -> None:
     described = storage.describe_rig(rig)
     sets = bracket_sets(storage, level, settings, described, is_exact=_is_exact(rig.sensor))
     of_level, first_sets = sets[-1], sets[:-1]
-    if _is_captured(storage, level, sets):
+    goal = _reference_goal(settings, level, rig.sensor)
+    if _is_captured(storage, level, sets, goal):
         if of_level.count:
             _log.info("%s: complete, with %s", of_level.name, counted(of_level.count, "pattern"))
         return
@@ -105,11 +101,11 @@ def capture_level(rig: Rig, context: CaptureContext, level: int) -> None:
     # a simulated scene may be recorded at its first picture
     with displayed_by(partial(Progress, unit="step", is_visible=settings.progress)):
         for brackets in first_sets:
-            counts = {key: value for key, value in brackets.settings.items() if key != "rig"}
+            if brackets.part == REFERENCE_BRACKETS:
+                parts |= capture_references(rig, context, brackets, batch)
+                continue
             entry = capture_brackets(rig, storage, brackets, batch, progress=settings.progress)
-            parts[brackets.part] = {**entry, **counts}
-            if brackets.part == REFERENCE_BRACKETS and settings.watch != "off":
-                _check_references(storage, rig.sensor, brackets.settings, settings.watch)
+            parts[brackets.part] = {**entry, "symmetry_brackets": brackets.count}
     captured = _capture_watched(rig, context, of_level, batch)
     manifest = {
         "stage": "capture",
@@ -167,16 +163,7 @@ def bracket_sets(
 
     sets = []
     if level == 0:
-        black, floodlit = (
-            (1, 1) if is_exact else (settings.all_off_brackets, settings.all_on_brackets)
-        )
-        patterns = partial(reference_patterns, shape, black)
-        counts = {"all_off_brackets": black, "all_on_brackets": floodlit, "rig": described}
-        sets.append(
-            BracketSet(
-                level, REFERENCE_BRACKETS, "reference brackets", black + floodlit, counts, patterns
-            )
-        )
+        sets.append(first_reference_set(shape, settings, described, is_exact=is_exact))
     if level == 0 and settings.symmetry_brackets:
         count = settings.symmetry_brackets
         patterns = partial(symmetry_patterns, shape, count)
@@ -191,22 +178,6 @@ def bracket_sets(
         *sets,
         BracketSet(level, "capture", name, schedule.count, attributes, schedule_patterns),
     ]
-
-
-def reference_patterns(
-    projector_shape: tuple[int, ...], all_off_brackets: int, first: int, last: int
-) -> tuple[NDArray[np.float32], Keys]:
-    """Return reference patterns ``first:last``, all-off before all-on ones, and their keys."""
-    indices = range(first, last)
-    patterns = np.zeros((len(indices), *projector_shape), np.float32)
-    patterns[max(0, all_off_brackets - first) :] = 1
-    keys: Keys = [
-        (BLACK_LEVEL_KEY, index)
-        if index < all_off_brackets
-        else (FLOODLIT_KEY, index - all_off_brackets)
-        for index in indices
-    ]
-    return patterns, keys
 
 
 def symmetry_patterns(
@@ -244,37 +215,26 @@ def _is_captured_by_recorded_rig(context: CaptureContext, level: int) -> bool:
     except StoreError:
         return False
     sets = bracket_sets(storage, level, context.settings, described, is_exact=_is_exact(sensor))
-    return _is_captured(storage, level, sets)
+    return _is_captured(storage, level, sets, _reference_goal(context.settings, level, sensor))
 
 
-def _is_captured(storage: Storage, level: int, sets: list[BracketSet]) -> bool:
-    """Test whether the level's manifest is about these sets of brackets."""
+def _reference_goal(settings: AcquisitionSettings, level: int, sensor: Sensor) -> Facts:
+    return {} if level else reference_goal(settings, is_exact=_is_exact(sensor))
+
+
+def _is_captured(storage: Storage, level: int, sets: list[BracketSet], goal: Facts) -> bool:
+    """Test whether the level's manifest is about these sets of brackets, and this goal."""
     *first_sets, of_level = sets
     facts = storage.current_manifest(level, "capture", of_level.fingerprint)
     parts = {brackets.part for brackets in first_sets}
     if facts is None or (SYMMETRY in facts) != (SYMMETRY in parts):
         return False
+    if any(facts.get(name) != value for name, value in goal.items()):
+        return False
     return all(
         facts.get(brackets.part, {}).get("fingerprint") == brackets.fingerprint
         for brackets in first_sets
     )
-
-
-def _check_references(storage: Storage, sensor: Sensor, captured: Facts, watch: WatchMode) -> None:
-    """Log what changed among the reference brackets; raise CaptureError where that is refused."""
-    camera, black = camera_model_of(sensor), captured["all_off_brackets"]
-    if camera is None:
-        return
-    with storage.partial_brackets(0, REFERENCE_BRACKETS) as store:
-        count = store.shape[0]
-        samples = np.stack([sample_pixels(store.read(n, n + 1)[0], count) for n in range(count)])
-    for fault in faults_of_reference_brackets(samples[:black], samples[black:], camera):
-        if watch == "refuse" and fault.exceeds(CAPTURE):
-            raise CaptureError(
-                f"all-off and all-on pictures show that {fault.text}. The capture ends here",
-                remedy=recovery_advice(storage, 0, captured["rig"].get("kind", "")),
-            )
-        _log.warning("all-off and all-on pictures show that %s", fault.text)
 
 
 def _warm_up(rig: Rig, storage: Storage, seconds: float) -> None:

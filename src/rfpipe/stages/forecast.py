@@ -8,6 +8,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rfpipe.references.check_pictures import check_picture_count
+from rfpipe.references.reference_brackets import (
+    FIRST_ALL_OFF,
+    FIRST_ALL_ON,
+    MOST_ALL_OFF,
+    MOST_ALL_ON,
+)
 from rfpipe.storage.picture_counts import PictureCounts
 from rfpipe.units import RADIANCE, SYMMETRY_BRACKETS
 
@@ -15,6 +21,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from rfpipe.config import Config
+    from rfpipe.config.capture import CaptureConfig
     from rfpipe.photometry import Sensor
     from rfpipe.stages.plan import Plan
 
@@ -64,26 +71,26 @@ def forecast(settings: Config) -> pd.DataFrame:
         expected = plan.description.forecast(
             plan.camera, plan.projector, plan.channels, plan.options
         )
+        largest = _costs(scene_settings, plan, expected.max_patterns, is_largest=True)
         rows.append(
             {
                 "scene": scene, "method": name, "rays": plan.projector.size,
                 **_costs(scene_settings, plan, expected.patterns),
-                **{
-                    f"max_{key}": value
-                    for key, value in _costs(scene_settings, plan, expected.max_patterns).items()
-                },
+                **{f"max_{key}": value for key, value in largest.items()},
                 "memory": expected.memory_bytes + settings.scenes[scene].simulation_bytes,
             }
         )  # fmt: skip
     return pd.DataFrame(rows)
 
 
-def _costs(settings: Config, plan: Plan, patterns: int) -> dict[str, float]:
+def _costs(
+    settings: Config, plan: Plan, patterns: int, *, is_largest: bool = False
+) -> dict[str, float]:
     """Return the cost of an acquisition of a number of patterns; see `forecast`."""
     from rfpipe.photometry import sensor_from_config
 
     capture, sensor = settings.capture, sensor_from_config(settings.camera)
-    pictures = expected_pictures(settings, plan, patterns).total
+    pictures = expected_pictures(settings, plan, patterns, is_largest=is_largest).total
     stored = pictures - (0 if capture.keep_raw else patterns)
     return {
         "patterns": patterns,
@@ -93,7 +100,9 @@ def _costs(settings: Config, plan: Plan, patterns: int) -> dict[str, float]:
     }
 
 
-def expected_pictures(settings: Config, plan: Plan, patterns: int) -> PictureCounts:
+def expected_pictures(
+    settings: Config, plan: Plan, patterns: int, *, is_largest: bool = False
+) -> PictureCounts:
     """Return the pictures on the rig of an acquisition that takes a number of patterns.
 
     Parameters
@@ -102,6 +111,8 @@ def expected_pictures(settings: Config, plan: Plan, patterns: int) -> PictureCou
         Settings of the scene, see `Config.of_scene`.
     plan : Plan
     patterns : int
+    is_largest : bool
+        Whether to count the reference brackets of a scene with little light.
     """
     from rfpipe.photometry import ExactSensor, sensor_from_config
 
@@ -113,9 +124,19 @@ def expected_pictures(settings: Config, plan: Plan, patterns: int) -> PictureCou
         # a level and the verification have a check picture more than intervals
         checks = check_picture_count(patterns, interval) + 2 * (verification > 0)
     return PictureCounts(
-        references=2 if is_exact else capture.all_off_brackets + capture.all_on_brackets,
+        references=2 if is_exact else sum(_reference_counts(capture, is_largest=is_largest)),
         symmetry=plan.measures_symmetry * SYMMETRY_BRACKETS,
         patterns=patterns,
         checks=checks,
         verification=verification,
+    )
+
+
+def _reference_counts(capture: CaptureConfig, *, is_largest: bool) -> tuple[int, int]:
+    """Return the numbers of all-off and all-on brackets, with full light or with little."""
+    fixed = capture.precautions
+    as_needed = (MOST_ALL_OFF, MOST_ALL_ON) if is_largest else (FIRST_ALL_OFF, FIRST_ALL_ON)
+    return (
+        capture.all_off_brackets or fixed.all_off_brackets or as_needed[0],
+        capture.all_on_brackets or fixed.all_on_brackets or as_needed[1],
     )

@@ -18,6 +18,7 @@ from rfpipe.ranges import ranges
 from rfpipe.references.drift import measure_drift
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.references.initial_brightness import divide_floodlit, measure_initial_brightness
+from rfpipe.references.reference_brackets import REFERENCE_PARTS
 from rfpipe.references.reference_images import (
     ReferenceImages,
     measure_references,
@@ -32,7 +33,6 @@ from rfpipe.stages.schedule import read_schedule
 from rfpipe.storage.base import (
     CHECK_PICTURES,
     LAMP,
-    REFERENCE_BRACKETS,
     REFERENCE_IMAGES,
     SUMS,
     SYMMETRY,
@@ -88,13 +88,13 @@ def _inputs(context: CaptureContext, level: int, sensor: Sensor) -> Facts:
     storage, settings = context.storage, context.settings
     captured = storage.read_manifest(level, "capture")
     if level == 0:
-        references = captured[REFERENCE_BRACKETS]
+        references = [captured[part]["digest"] for part in REFERENCE_PARTS if part in captured]
     else:
-        references = storage.read_manifest(0, "merge")[REFERENCE_IMAGES]
+        references = storage.read_manifest(0, "merge")[REFERENCE_IMAGES]["digest"]
     inputs: Facts = {
         "settings": {"sensor": sensor.describe(), "mask_defects": settings.mask_defects},
         "captured": captured["digest"],
-        "references": references["digest"],
+        "references": references,
     }
     if SYMMETRY in captured:
         inputs[SYMMETRY] = captured[SYMMETRY]["digest"]

@@ -15,7 +15,7 @@ from rfpipe.methods import (
     get_method,
     options_of,
 )
-from rfpipe.methods.base import check_rays
+from rfpipe.methods.base import DEFAULT_TARGET, check_rays
 from rfpipe.references.symmetry import is_coaxial, log_asymmetry, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.storage.base import Storage
@@ -97,6 +97,19 @@ class Plan:
     def measures_symmetry(self) -> bool:
         """True if the rig's symmetry is measured by patterns captured with level 0."""
         return self.description.measures_symmetry(self.camera, self.projector)
+
+    @property
+    def target_error(self) -> float:
+        """Target of the estimated error; 1 % for methods that don't estimate their error."""
+        return self.options.error_target or DEFAULT_TARGET
+
+    @property
+    def expected_patterns(self) -> int:
+        """Number of patterns that the method is expected to show."""
+        forecast = self.description.forecast(
+            self.camera, self.projector, self.channels, self.options
+        )
+        return forecast.patterns
 
     def start(self) -> Any:
         """Return the method's state before level 0."""

@@ -25,8 +25,14 @@ class AcquisitionSettings:
     ----------
     code : str
         Digest of the code behind the stages, part of the fingerprints of all stages but captures.
-    all_off_brackets, all_on_brackets : int
-        All-off and all-on brackets with which level 0 begins; exact radiance takes one of each.
+    all_off_brackets, all_on_brackets : int, optional
+        All-off and all-on brackets with which level 0 begins; None: as many as `target_error` and
+        `expected_patterns` need, see `rfpipe.references.reference_brackets`. Exact radiance takes
+        one of each.
+    target_error : float
+        Error of relit pictures to which the reference brackets should hardly add.
+    expected_patterns : int
+        Patterns that the method is expected to show.
     symmetry_brackets : int
         Brackets of random patterns after them, which measure the rig's symmetry; 0 for none.
     check_interval : int
@@ -63,8 +69,10 @@ class AcquisitionSettings:
     """
 
     code: str = ""
-    all_off_brackets: int = 8
-    all_on_brackets: int = 64
+    all_off_brackets: int | None = None
+    all_on_brackets: int | None = None
+    target_error: float = 0.01
+    expected_patterns: int = 30
     symmetry_brackets: int = 0
     check_interval: int = 0
     batch_patterns: int = 16
@@ -84,7 +92,14 @@ class AcquisitionSettings:
 
 SETTINGS_OF_STAGE = {
     "schedule": ("code",),
-    "capture": ("all_off_brackets", "all_on_brackets", "symmetry_brackets", "check_interval"),
+    "capture": (
+        "all_off_brackets",
+        "all_on_brackets",
+        "target_error",
+        "expected_patterns",
+        "symmetry_brackets",
+        "check_interval",
+    ),
     "merge": ("code", "mask_defects", "divide_out_drift"),
     "normalize": ("code", "normalization"),
     "refine": ("code",),
@@ -121,8 +136,10 @@ def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[
     capture = scene_config.capture
     settings = {
         "code": stage_code(config, scene, name),
-        "all_off_brackets": capture.all_off_brackets,
-        "all_on_brackets": capture.all_on_brackets,
+        "all_off_brackets": capture.all_off_brackets or capture.precautions.all_off_brackets,
+        "all_on_brackets": capture.all_on_brackets or capture.precautions.all_on_brackets,
+        "target_error": plan.target_error,
+        "expected_patterns": plan.expected_patterns,
         "symmetry_brackets": SYMMETRY_BRACKETS if plan.measures_symmetry else 0,
         "check_interval": capture.precautions.check_interval,
         "mask_defects": scene_config.merge.mask_defects,

@@ -146,14 +146,15 @@ class Watcher:
     def before(self, position: int) -> None:
         """Take the check picture before the pattern at `position`, or after the last pattern.
 
+        After the last pattern there may be none, see `check_picture_count`.
+
         Raises
         ------
         CaptureError
             If gain, room light or rig changed and the watcher refuses that. The check picture isn't
             stored then: the next run takes it first.
         """
-        is_last = position == self.level_brackets.count
-        index = self.check_brackets.count - 1 if is_last else position // self.interval
+        index = min(-(-position // self.interval), self.check_brackets.count - 1)
         if self.store.done[index]:
             return
         bracket = self._take(index)
@@ -198,22 +199,23 @@ class Watcher:
             repeats += [self._take(index) for _ in range(_MORE_REPEATS)]
             fault = fault_of_repeats(repeats, references)
             if fault is not None and fault.exceeds(CAPTURE):
-                self._report(f"{place}: {fault.text}")
+                self._report(index, f"{place}: {fault.text}")
                 return
         before, after = (
             compare_pictures(references, first, repeat) for repeat in (repeats[0], repeats[-1])
         )
         room = room_fault(abs(after.room), "since the first check picture")
         if room.exceeds(NOTED):
-            self._report(f"{place}: {room.text}", is_harmful=room.exceeds(CAPTURE))
+            self._report(index, f"{place}: {room.text}", is_harmful=room.exceeds(CAPTURE))
         elif max(before.residual, after.residual) > CAPTURE.moved:
-            self._report_motion(place, before.residual, after.residual)
+            self._report_motion(index, place, before.residual, after.residual)
 
-    def _report_motion(self, place: str, before: float, after: float) -> None:
+    def _report_motion(self, index: int, place: str, before: float, after: float) -> None:
         """Report motion, by the residuals of a check picture and of its last repeat."""
         fault = moved_fault(max(before, after))
         if after > CAPTURE.moved:
-            self._report(f"{place}: {fault.text}. Pictures from before and after are inconsistent")
+            text = f"{place}: {fault.text}. Pictures from before and after are inconsistent"
+            self._report(index, text)
         else:
             _log.warning(
                 "%s: %s; its repeat looks normal, so something passed briefly: the pictures before "
@@ -221,12 +223,16 @@ class Watcher:
                 place, fault.change,
             )  # fmt: skip
 
-    def _report(self, text: str, *, is_harmful: bool = True) -> None:
-        """Raise CaptureError for a harmful change if the watcher refuses it, else log it."""
+    def _report(self, index: int, text: str, *, is_harmful: bool = True) -> None:
+        """Raise CaptureError for a harmful change if the watcher refuses it, else log it.
+
+        What a level's first check picture shows may have happened during the level before.
+        """
         if not (self.is_refusing and is_harmful):
             _log.warning("%s", text)
             return
-        advice = recovery_advice(self.storage, self.level_brackets.level)
+        level = self.level_brackets.level
+        advice = recovery_advice(self.storage, level if index else max(0, level - 1))
         raise CaptureError(f"{text}. The capture ends here", remedy=advice)
 
 

@@ -56,6 +56,12 @@ STAGES = ("schedule", "capture", "merge", "normalize", "refine")
 REFERENCE_BRACKETS = "reference_brackets"
 """Store and manifest key of the all-off and all-on brackets, captured with level 0."""
 
+MORE_REFERENCE_BRACKETS = "more_reference_brackets"
+"""Store and manifest key of further such brackets, whose number follows from the first ones."""
+
+REFERENCE_GOAL = "reference_goal"
+"""Key in level 0's capture manifest: target from which the number of further brackets follows."""
+
 REFERENCE_IMAGES = "reference_images"
 """Store and key in level 0's merge manifest of black level, defects and floodlit image."""
 

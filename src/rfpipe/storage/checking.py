@@ -14,6 +14,7 @@ from urllib.parse import unquote
 from rfpipe.errors import InputError, StoreError
 from rfpipe.storage.base import (
     CHECK_PICTURES,
+    MORE_REFERENCE_BRACKETS,
     REFERENCE_BRACKETS,
     REFERENCE_IMAGES,
     SENSOR,
@@ -40,7 +41,7 @@ from rfpipe.transport.storage import ZIP_NAME, transports_in
 _TAGS = "tagmanifest-sha256.txt"
 # Stores of a level that the manifest of another name is about.
 _OWNERS = dict.fromkeys(
-    (REFERENCE_BRACKETS, SYMMETRY, CHECK_PICTURES, SENSOR), "capture"
+    (REFERENCE_BRACKETS, MORE_REFERENCE_BRACKETS, SYMMETRY, CHECK_PICTURES, SENSOR), "capture"
 ) | dict.fromkeys((SUMS, REFERENCE_IMAGES), "merge")
 _STAGES_OF: dict[str, tuple[str, ...]] = {
     "acquisition": ("transport", "relight", "verification"),

@@ -28,6 +28,7 @@ from rfpipe.errors import (
 from rfpipe.ranges import ranges
 from rfpipe.rigs import Rig
 from rfpipe.storage.base import (
+    MORE_REFERENCE_BRACKETS,
     REFERENCE_BRACKETS,
     REFERENCE_IMAGES,
     SUMS,
@@ -318,7 +319,10 @@ class FolderStorage:
     def drop_raw(self, level: int) -> None:
         """Remove the brackets of a merged level; safe to interrupt at any time."""
         merged = ["merge", SUMS, *([REFERENCE_IMAGES] if level == 0 else [])]
-        raw = ["capture", *([REFERENCE_BRACKETS, SYMMETRY] if level == 0 else [])]
+        raw = [
+            "capture",
+            *([REFERENCE_BRACKETS, MORE_REFERENCE_BRACKETS, SYMMETRY] if level == 0 else []),
+        ]
         for part in merged:
             to_disk(self.store(level, part))
         stores = [self.store(level, part) for part in raw]

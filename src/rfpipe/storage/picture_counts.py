@@ -14,18 +14,20 @@ from typing import Any
 
 from rfpipe.storage.base import (
     CHECK_PICTURES,
+    MORE_REFERENCE_BRACKETS,
     REFERENCE_BRACKETS,
     SYMMETRY,
     VERIFICATION,
     ResultStorage,
 )
 
-_PARTS = {
-    "references": REFERENCE_BRACKETS,
-    "symmetry": SYMMETRY,
-    "checks": CHECK_PICTURES,
+_PURPOSES = {
+    REFERENCE_BRACKETS: "references",
+    MORE_REFERENCE_BRACKETS: "references",
+    SYMMETRY: "symmetry",
+    CHECK_PICTURES: "checks",
 }
-"""Key in a capture's manifest of the pictures of each purpose, beside the level's own patterns."""
+"""Purpose of the pictures of each part of a capture's manifest, beside the level's patterns."""
 
 
 @dataclass(frozen=True)
@@ -101,11 +103,13 @@ def pictures_of_levels(storage: ResultStorage, last_level: float = inf) -> Pictu
 def _counts_of(level: int, storage: ResultStorage) -> PictureCounts:
     """Count the pictures of a level, or of the verification."""
     manifest = storage.read_manifest(level, "capture")
-    parts = {name: manifest[key] for name, key in _PARTS.items() if manifest.get(key)}
-    numbers = {name: int(entry["shape"][0]) for name, entry in parts.items()}
-    numbers["verification" if level == VERIFICATION else "patterns"] = int(manifest["patterns"])
+    parts = {key: manifest[key] for key in _PURPOSES if manifest.get(key)}
     frames = sum(_frame_count(entry) for entry in (manifest, *parts.values()))
-    return PictureCounts(**numbers, frames=frames)
+    purpose = "verification" if level == VERIFICATION else "patterns"
+    counts = PictureCounts(**{purpose: int(manifest["patterns"])}, frames=frames)
+    for key, entry in parts.items():
+        counts += PictureCounts(**{_PURPOSES[key]: int(entry["shape"][0])})
+    return counts
 
 
 def _frame_count(entry: dict[str, Any]) -> int:

@@ -9,6 +9,7 @@ from pathlib import Path
 from rfpipe.errors import InputError
 from rfpipe.storage.base import (
     CHECK_PICTURES,
+    MORE_REFERENCE_BRACKETS,
     REFERENCE_BRACKETS,
     REFERENCE_IMAGES,
     SENSOR,
@@ -25,7 +26,14 @@ from rfpipe.storage.files import FolderStorage
 from rfpipe.store import StoreLock, is_dropped
 from rfpipe.text import similar_names
 
-_CAPTURED = ("capture", REFERENCE_BRACKETS, SYMMETRY, SENSOR, CHECK_PICTURES)
+_CAPTURED = (
+    "capture",
+    REFERENCE_BRACKETS,
+    MORE_REFERENCE_BRACKETS,
+    SYMMETRY,
+    SENSOR,
+    CHECK_PICTURES,
+)
 """Stores of a level's capture."""
 
 _MERGED = ("merge", SUMS, REFERENCE_IMAGES)
