@@ -115,13 +115,14 @@ def test_forecasts_by_tolerance_agree_with_the_benchmark(method: str, share: flo
 
 def test_a_forecast_counts_every_picture_that_the_rig_then_takes() -> None:
     row = only(methods={"auto": {"target_error": 0.01}}, verification={"pictures": 5})
-    assert row.pictures == 72 + 6 + row.patterns + 5
-    assert row.max_pictures == 72 + 6 + row.max_patterns + 5
+    assert row.pictures == 6 + 6 + row.patterns + 5
+    assert row.max_pictures == 8 + 64 + 6 + row.max_patterns + 5
     real = {"scenes": {"desk": {"kind": "captured", "shape": [20, 20]}},
             "capture": {"rig": "remote"}, "methods": {"auto": {}}}  # fmt: skip
     (watched,) = forecast(Config.model_validate(real)).itertuples()
-    checks = -(-watched.patterns // 8) + 1 + 2  # between the patterns, and round the verification
-    assert watched.pictures == 72 + 6 + watched.patterns + checks + 9
+    # between the patterns, and round the verification
+    checks = (watched.patterns + 8) // 16 + 1 + 2
+    assert watched.pictures == 6 + 6 + watched.patterns + checks + 9
 
 
 PLANE = {"kind": "plane", "surfaces": ["texture"]}
@@ -170,7 +171,7 @@ def test_the_command_warns_of_too_little_disk_and_memory(
     config.write_text(f"scenes: {{one: {scene}, other: {scene}}}\nmethods: {{dual: {{}}}}")
     output = run("plan", config, "--folder", tmp_path / "results")
     assert output.count("dual") == 2
-    assert "One after the other: 978 pictures and 0:32:36 on a rig" in output
+    assert "One after the other: 846 pictures and 0:28:12 on a rig" in output
     assert "may be too small" not in output
     assert "of memory, but this machine" not in output
 
