@@ -389,7 +389,7 @@ def _curves(done: pd.DataFrame) -> bytes:
     for axis, scene in zip(axes.flat, scenes, strict=False):
         scene_rows = done[done["scene"] == scene]
         axis.set_axis_on()
-        axis.set(xscale="log", yscale="log", xlim=(5, 5000), ylim=(0.05, 100))
+        axis.set(xscale="log", yscale="log", xlim=(8, 3000), ylim=(0.08, 100))
         axis.set_title(_starred(scene).replace("_", " "), fontsize=9)
         axis.tick_params(labelsize=7)
         for method, method_rows in scene_rows.groupby("method"):
