@@ -54,7 +54,7 @@ PRECAUTIONS: dict[CaptureKind, Precautions] = {
     "remote": Precautions("refuse", 16, 9, True),
     # somebody takes these pictures by hand, so no pattern is repeated between others, and all
     # reference brackets are on the first list
-    "offline": Precautions("refuse", 0, 3, False, 2, 8),
+    "offline": Precautions("refuse", 0, 3, False, 2, 6),
 }
 """Precautions by the kind of rig, for runs and for `rfpipe.acquire`; any real rig is "remote"."""
 
@@ -100,7 +100,7 @@ class CaptureConfig(Settings):
     all_on_brackets: Batch | None = Field(
         None,
         description="Brackets of the all-on pattern to average; they limit the noise of the "
-        "direct light. null: as many as the target error needs, 8 of an offline rig.",
+        "direct light. null: as many as the target error needs, 6 of an offline rig.",
     )
     asymmetry: Fraction = Field(
         0.05,

@@ -22,10 +22,10 @@ from rfpipe.storage.base import CHECK_PICTURES, Storage, scheduled_levels
 def check_picture_count(patterns: int, interval: int) -> int:
     """Return the number of check pictures of a level.
 
-    One is taken before the first pattern and after each `interval`. The last patterns are followed
-    by one if they are at least half an interval; fewer are checked by the next level's first.
+    One is taken before the first pattern and after each `interval`. What happens during the last
+    patterns shows in the next level's first check picture, or in that of the verification.
     """
-    return (patterns + interval // 2) // interval + 1 if patterns else 0
+    return patterns // interval + 1 if patterns else 0
 
 
 def check_positions(patterns: int, interval: int) -> Double:
