@@ -18,6 +18,7 @@ from rfpipe.ranges import ranges
 from rfpipe.references.drift import measure_drift
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.references.initial_brightness import divide_floodlit, measure_initial_brightness
+from rfpipe.references.needless_exposures import needless_exposures
 from rfpipe.references.reference_brackets import REFERENCE_PARTS
 from rfpipe.references.reference_images import (
     ReferenceImages,
@@ -170,7 +171,20 @@ def _measure_and_write_references(
         random_brightness = brightness.random_patterns
         facts |= brightness.facts()
     facts[REFERENCE_IMAGES] = write_references(storage, references)
+    _advise_on_exposures(sensor, references)
     return references, facts | measure_asymmetry(storage, references, random_brightness)
+
+
+def _advise_on_exposures(sensor: Sensor, references: ReferenceImages) -> None:
+    """Log the exposures that the rig could leave out."""
+    camera = camera_model_of(sensor)
+    needless = needless_exposures(camera, references.floodlit) if camera is not None else ()
+    if needless:
+        _log.info(
+            "%d of %d exposures add nothing: without %s s (camera.exposures) no picture is over "
+            "5 %% noisier, and no pixel more is saturated",
+            len(needless), len(sensor.exposures), ", ".join(f"{t:.3g}" for t in needless),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
