@@ -25,7 +25,8 @@ from benchmarks.methods.cases import (
     method_of,
     newest,
 )
-from benchmarks.methods.scenes import shape_of
+from benchmarks.methods.scenes import projector_views, shape_of
+from rfpipe.methods.adaptive.decisions import expected_patterns
 from rfpipe.store.files import write_atomically
 
 TUNING, TEST = "tuning", "test"
@@ -72,6 +73,12 @@ _ESTIMATES = f"""## Estimates and targets
 
 Shares of runs whose estimate is within a factor of {_NEAR:g} of the true error, and of targets met
 within a fifth.
+"""
+_FORECASTS = f"""## Forecasts
+
+Shares of runs of `{AUTO}` whose cost is within a factor of {_NEAR:g} of the forecast of `rfpipe
+plan`, and quartiles of the cost over the forecast. Pictures are forecast with the references that
+the run took.
 """
 _FEWEST = f"""## Pictures for an error of {_ENOUGH:.0%}
 
@@ -131,6 +138,8 @@ def write_page(folder: Path, table: Path, planned: Sequence[Case]) -> None:
         _regret(regret, "indirect"),
         _ESTIMATES,
         _estimates(done[done["side"] == side]),
+        _FORECASTS,
+        forecasts(done[done["side"] == side]),
         _FEWEST,
         _fewest(full),
         *([_SMALL, small] if small else []),
@@ -281,6 +290,31 @@ def _estimates(done: pd.DataFrame) -> str:
             lines.append([f"`{method}`", str(light), str(section), str(len(method_rows)), *shares])
     head = ["method", "light", "", "runs", "error estimated", "error of indirect light estimated",
             "targets met"]  # fmt: skip
+    return markdown(head, lines)
+
+
+def forecasts(done: pd.DataFrame) -> str:
+    """Return a table of how near the patterns and pictures of `AUTO` are to the forecast."""
+    rows = done[(done["method"] == AUTO) & (done["option"] == "target_error")]
+    expected = pd.Series(
+        [expected_patterns(projector_views(row.scene), row.value) for row in rows.itertuples()],
+        rows.index,
+    )
+    references = rows["pictures"] - rows["patterns"]
+    rows = rows.assign(
+        patterns_ratio=rows["patterns"] / expected,
+        pictures_ratio=rows["pictures"] / (expected + references),
+    )
+    lines = []
+    for (light, section), of_section in rows.groupby(["light", "section"], sort=False):
+        cells = []
+        for name in ("patterns_ratio", "pictures_ratio"):
+            quartiles = of_section[name].quantile([0.25, 0.5, 0.75])
+            share = of_section[name].between(1 / _NEAR, _NEAR).mean()
+            cells += [f"{share:.0%}", ", ".join(f"{ratio:.2f}" for ratio in quartiles)]
+        lines.append([str(light), str(section), str(len(of_section)), *cells])
+    head = ["light", "", "runs", "patterns within 1.5", "patterns over forecast",
+            "pictures within 1.5", "pictures over forecast"]  # fmt: skip
     return markdown(head, lines)
 
 

@@ -125,6 +125,14 @@ KINDS: dict[str, Kind] = {name: _world(name) for name in WORLDS} | {
 """All scenes: every physically based one, and matt wedges, one of them lit from aside."""
 
 
+def projector_views(name: str) -> int:
+    """Return the number of views of a scene's projector; a coaxial one has those of the camera."""
+    if name not in WORLDS:
+        return 1
+    world = WORLDS[name]
+    return len(world.projectors or world.cameras)
+
+
 @lru_cache(maxsize=512)
 def settings_of(name: str, side: str, channels: int, samples: int, seed: int) -> dict[str, Any]:
     """Return plain data that describe a scene, without building it."""

@@ -21,7 +21,7 @@ from benchmarks.methods.cases import (
     newest,
 )
 from benchmarks.methods.measure import measure
-from benchmarks.methods.page import regrets, small_scenes
+from benchmarks.methods.page import forecasts, regrets, small_scenes
 from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
@@ -154,6 +154,18 @@ def test_regret_is_against_the_best_setting_in_hindsight():
     assert list(regret.loc[1, "missed"]) == [False, True, False]
     assert list(regret.loc[1, "indirect"]) == pytest.approx([50 / 60, 90 / 170, 110 / 2314])
     assert math.isnan(regret.loc[(2, 0.02), "error"])
+
+
+def test_forecasts_are_compared_with_what_acquisitions_took():
+    rows = [
+        acquisition("auto", 0.01, 30, 0.01),
+        acquisition("auto", 0.01, 99, 0.01, section="test"),
+        acquisition("auto", 0.02, 40, 0.01, section="test"),
+        acquisition("dual", 0.01, 500, 0.01),
+    ]
+    table = forecasts(pd.DataFrame(rows)).splitlines()
+    assert table[2] == "| full | tuning | 1 | 100% | 0.91, 0.91, 0.91 | 100% | 0.93, 0.93, 0.93 |"
+    assert table[3].startswith("| full | test | 2 | 0% | 2.")
 
 
 def test_small_scenes_compare_estimates_with_the_truth():
