@@ -39,7 +39,8 @@ _RUNS = {  # of `make thesis` and config/large.yaml, RGB: shape of the rays, and
 def by_target(benchmark: Path) -> str:
     """Return the cost of `AUTO` at the benchmark's side, by light and target.
 
-    Costs are medians over scenes; settings that ran on less than half of the scenes are omitted.
+    Costs are medians over the scenes that the newest code acquired; settings that ran on less than
+    half of them are omitted.
 
     Parameters
     ----------
@@ -48,6 +49,7 @@ def by_target(benchmark: Path) -> str:
     """
     rows = newest(benchmark)
     rows = rows[(rows["method"] == AUTO) & (rows["side"] == SIDE) & (rows["status"] == "done")]
+    rows = rows[rows["code"] == rows["code"].iloc[-1]]
     rows = rows.assign(is_test=rows["held_out_scene"].astype(bool))
     lines = []
     for light, target in product(CAMERAS, sorted(set(rows["value"]), reverse=True)):
@@ -56,19 +58,12 @@ def by_target(benchmark: Path) -> str:
             continue
         # one number of each scene, whatever the number of its seeds
         of_scenes = setting.groupby(["is_test", "scene"])[_COSTS].median()
-        costs = [of_scenes.loc[is_test].median() for is_test in (False, True)]
-        lines.append(
-            [light, f"{100 * target:g} %", *(cell for cost in costs for cell in _cells(cost))]
-        )
-    titles = [
-        "pictures (patterns)",
-        f"minutes on the rig, scenes in {_HOURS} hours",
-        "processing, min",
-    ]
-    head = [
-        f"{section}: {title}" for section in ("tuning scenes", "test scenes") for title in titles
-    ]
-    return markdown(["light", "target", *head], lines)
+        for is_test, of_section in of_scenes.groupby("is_test"):
+            section = f"{len(of_section)} {'test' if is_test else 'tuning'}"
+            lines.append([light, f"{100 * target:g} %", section, *_cells(of_section.median())])
+    head = ["light", "target", "scenes", "pictures (patterns)", "minutes on the rig",
+            f"scenes in {_HOURS} hours", "processing, min"]  # fmt: skip
+    return markdown(head, lines)
 
 
 def _cells(cost: Any) -> list[str]:
@@ -76,7 +71,8 @@ def _cells(cost: Any) -> list[str]:
     pictures = cost["pictures"]
     return [
         f"{pictures:.0f} ({cost['patterns']:.0f})",
-        f"{_minutes(pictures)}, {3600 * _HOURS / (SECONDS * pictures):.0f}",
+        _minutes(pictures),
+        f"{3600 * _HOURS / (SECONDS * pictures):.0f}",
         f"{cost['processing_s'] / 60:.1f}",
     ]
 

@@ -23,8 +23,8 @@ from benchmarks.methods.page import markdown
 from rfpipe.store.files import write_atomically
 
 FOLDER = Path("docs/measured")
-BENCHMARK = Path("docs/benchmark/acquisitions.csv")
 PAGES = (Path("docs/measured.md"), Path("docs/cost.md"), Path("README.md"))
+_TABLE = "acquisitions.csv"
 THESIS = {  # Table 5.1: patterns and MB
     "planes_i": ("I, one textured plane", 809, 255),
     "planes_ii": ("II, two white planes", 1085, 371),
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
                         help="begin no acquisition after so long")  # fmt: skip
     parser.add_argument("--table-only", action="store_true", help="acquire nothing")
     options = parser.parse_args(arguments)
-    table = FOLDER / "acquisitions.csv"
+    table = FOLDER / _TABLE
     if not options.table_only:
         known = known_keys(table)
         missing = [case for case in all_cases() if case.key not in known]
@@ -86,7 +86,7 @@ def of_run(tables: Path) -> str:
 
 def written(text: str, folder: Path) -> str:
     """Return a page with tables from the files in a folder."""
-    rows = newest(folder / "acquisitions.csv")
+    rows = newest(folder / _TABLE)
     makers: dict[str, Callable[[], str]] = {
         "default run": lambda: _default(pd.read_csv(folder / "default_run.csv")),
         "methods": lambda: _methods(pd.read_csv(folder / "default_run.csv")),
@@ -96,7 +96,7 @@ def written(text: str, folder: Path) -> str:
         "beaten": lambda: _beaten(_thesis_run(folder)),
         "large": lambda: _large(_ends(folder / "large.csv")),
         "stages": lambda: _stages(pd.read_csv(folder / "large_stages.csv")),
-        "cost by target": lambda: cost.by_target(BENCHMARK),
+        "cost by target": lambda: cost.by_target(folder.with_name("benchmark") / _TABLE),
         "cost by size": lambda: cost.by_size(folder),
         "thesis, two": lambda: _of_thesis(pd.read_csv(folder / "thesis_run.csv"), last=2),
     }

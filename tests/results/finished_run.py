@@ -35,7 +35,8 @@ def write_run(folder: Path, *scenes: str) -> Path:
         place = folder / f"results/{scene}/dual"
         digest = write_arrays(place / "relight.zarr", {"images": matrix[0]}, {})
         write_manifest(place / "relight.json", {"digest": digest})
-        write_manifest(place / "L00/capture.json", {"stage": "capture"})
+        captured = {"stage": "capture", "patterns": 12, "shape": [12, 4, *SHAPE, 3]}
+        write_manifest(place / "L00/capture.json", captured)
         (place / "L00/capture.zarr").mkdir()
         (place / "L00/capture.zarr/c.0").write_bytes(b"a frame")
         (place / "acquire.log").write_text(f"in {folder}")

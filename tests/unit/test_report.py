@@ -171,6 +171,7 @@ def test_a_summary_has_the_origin_of_the_report(results):
         assert it["transport_digest"] == read_manifest(folder / "transport.json")["digest"]
         assert it["relit_digest"] == open_arrays(folder / "relight.zarr").digest
         assert it["patterns"] == read_manifest(folder / "transport.json")["patterns"]
+        assert it["pictures"] == 40
 
 
 def test_pictures_are_written_as_linear_radiance(results, page):

@@ -16,7 +16,8 @@ import yaml
 from rfpipe.config import load_config
 from rfpipe.errors import InputError, IntegrityError
 from rfpipe.publishing.writing import Source
-from rfpipe.storage.files import BY_PRODUCTS
+from rfpipe.storage.files import BY_PRODUCTS, FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 from rfpipe.store import open_arrays, read_manifest
 from rfpipe.store.packed import packed_in
 from rfpipe.store.places import METADATA
@@ -50,8 +51,13 @@ class FinishedAcquisition:
     @property
     def description(self) -> str:
         """One-line description of the transport."""
-        patterns = f"{self.facts['patterns']:,} patterns"
-        return f"light transport of {self.scene} by {self.method}, {patterns} (zarr 3)"
+        return f"light transport of {self.scene} by {self.method}, {self.cost} (zarr 3)"
+
+    @property
+    def cost(self) -> str:
+        """Number of patterns, and of pictures on the rig for all purposes, as text."""
+        pictures = captured_pictures(FolderStorage(self.folder)).total
+        return f"{self.facts['patterns']:,} patterns, {pictures:,} pictures on the rig"
 
     def check(self) -> None:
         """Verify the transport's data and its digest in the manifest, or raise IntegrityError."""

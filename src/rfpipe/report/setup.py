@@ -12,6 +12,8 @@ from rfpipe.report.page import Section, Table
 from rfpipe.report.text import setting_text
 from rfpipe.rigs.calibrated import VERDICTS_KEY
 from rfpipe.rigs.settings import flat
+from rfpipe.storage.files import FolderStorage
+from rfpipe.storage.picture_counts import captured_pictures
 
 
 def setup_section(inputs: ReportInputs) -> Section:
@@ -108,11 +110,12 @@ def provenance_of(inputs: ReportInputs) -> dict[str, Any]:
         "seed": inputs.config.seed,
         "configuration": shaping,
         "configuration_fingerprint": fingerprint(shaping),
-        "acquisitions": [_acquisition(run) for run in inputs.runs],
+        "acquisitions": [_acquisition(inputs, run) for run in inputs.runs],
     }
 
 
-def _acquisition(run: RelitAcquisition) -> dict[str, Any]:
+def _acquisition(inputs: ReportInputs, run: RelitAcquisition) -> dict[str, Any]:
+    storage = FolderStorage(inputs.results / run.scene / run.method)
     verified = {name: run.verified[name] for name in ("mean_error", "worst_error") if run.verified}
     return {
         "scene": run.scene,
@@ -123,5 +126,6 @@ def _acquisition(run: RelitAcquisition) -> dict[str, Any]:
         "transport_digest": run.acquired.get("digest"),
         "relit_digest": run.images.digest,
         "patterns": run.patterns,
+        "pictures": captured_pictures(storage).total,
         "verification": verified or None,
     }
