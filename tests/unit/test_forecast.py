@@ -13,7 +13,7 @@ from tests.rigs.known_matrix import run
 
 import rfpipe
 from rfpipe.blocks import RayDomain
-from rfpipe.config import Config
+from rfpipe.config import Config, load_config
 from rfpipe.jobs import workers
 from rfpipe.methods.adaptive.decisions import expected_patterns
 from rfpipe.methods.base import get_method, options_of
@@ -123,6 +123,18 @@ def test_a_forecast_counts_every_picture_that_the_rig_then_takes() -> None:
     # between the patterns, and round the verification
     checks = watched.patterns // 16 + 1 + 2
     assert watched.pictures == 6 + 6 + watched.patterns + checks + 9
+
+
+def test_photographs_by_hand_are_exposures(tmp_path: Path) -> None:
+    config = tmp_path / "config.yaml"
+    camera = {"exposures": [0.1, 1.0]}
+    config.write_text(yaml.safe_dump({
+        "scenes": {"desk": CAPTURED}, "capture": {"rig": "offline"}, "camera": camera,
+        "methods": {"auto": {"target_error": 0.02}},
+    }))  # fmt: skip
+    (row,) = forecast(load_config(config)).itertuples()
+    assert (row.frames, row.max_frames) == (2 * row.pictures, 2 * row.max_pictures)
+    assert f"these are {row.frames} photographs, at most {row.max_frames:,}" in run("plan", config)
 
 
 PLANE = {"kind": "plane", "surfaces": ["texture"]}

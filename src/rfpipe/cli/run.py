@@ -341,6 +341,9 @@ def plan(
         scene_lines = _lines_of_scenes(settings)
     typer.echo(_forecast_table(rows))
     _print_totals(rows, free)
+    if settings.capture.rig == "offline":
+        frames, largest = rows["frames"].sum(), rows["max_frames"].sum()
+        typer.echo(f"Taken by hand, these are {frames:,} photographs, at most {largest:,}.")
     for line in scene_lines:
         typer.echo(line)
 
@@ -395,7 +398,7 @@ def _forecast_table(rows: pd.DataFrame) -> str:
     """Format the forecast as a table."""
     from rfpipe.storage.space import bytes_text
 
-    table = rows.drop(columns=["max_patterns", "max_seconds", "max_disk"])
+    table = rows.copy()
     for name in ("rays", "patterns", "pictures", "max_pictures"):
         table[name] = rows[name].map("{:,}".format)
     table["seconds"] = rows["seconds"].map(_duration)

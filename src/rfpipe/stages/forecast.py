@@ -49,10 +49,10 @@ def forecast(settings: Config) -> pd.DataFrame:
     -------
     pandas.DataFrame
         A row for each acquisition: ``scene``, ``method``; number of ``rays`` of the projector;
-        expected numbers of ``patterns`` and of ``pictures`` on the rig for all purposes, the
-        ``seconds`` of these pictures and of the warm-up, and their uncompressed size on ``disk`` in
-        bytes; ``max_patterns``, ``max_pictures``, ``max_seconds`` and ``max_disk``, their upper
-        limits; ``memory`` in bytes.
+        expected numbers of ``patterns``, of ``pictures`` on the rig for all purposes and of their
+        exposures, ``frames``; the ``seconds`` of these pictures and of the warm-up, and their
+        uncompressed size on ``disk`` in bytes; ``max_patterns``, ``max_pictures``, ``max_frames``,
+        ``max_seconds`` and ``max_disk``, their upper limits; ``memory`` in bytes.
 
     Raises
     ------
@@ -95,6 +95,7 @@ def _costs(
     return {
         "patterns": patterns,
         "pictures": pictures,
+        "frames": pictures * len(sensor.exposures),
         "seconds": 60 * capture.warm_up_minutes + capture.seconds_per_pattern * pictures,
         "disk": disk_bytes(sensor, plan.camera.shape, plan.channels, stored, patterns),
     }
