@@ -17,6 +17,7 @@ resources.jobs is acquisition, a single job runs all stages of an acquisition, t
 import os
 from pathlib import Path
 
+from rfpipe.jobs.forked_scripts import fork_scripts
 from rfpipe.jobs.snakemake import (
     explain_reruns,
     list_changed_parameters_alone,
@@ -37,6 +38,8 @@ os.environ.update(RFPIPE_HOME=str(workflow.basedir))
 
 list_changed_parameters_alone()
 explain_reruns()
+if workflow.is_main_process:
+    fork_scripts()
 failed_jobs = FailedJobs()
 logger.addHandler(failed_jobs)
 
