@@ -109,41 +109,55 @@ class Haar:
 
     def forward(self, images: Float) -> Float:
         """Compute the coefficients (size, P) of P images (cells, P)."""
-        views, height, width = self.stack
+        from rfpipe.transport.haar_kernels import divide_into_details
+
+        _, height, width = self.stack
         count = images.shape[1]
-        means = np.zeros((*self.grid, count), np.float32)
-        means[:, :height, :width] = images.reshape(*self.stack, count)
+        finer: Float = np.ascontiguousarray(images, np.float32).reshape(*self.stack, count)
+        if self.grid != self.stack:
+            padded = np.zeros((*self.grid, count), np.float32)
+            padded[:, :height, :width] = finer
+            finer = padded
         coefficients = np.empty((self.size, count), np.float32)
         for group in self.groups[:-1]:
-            _, h, w = group.grid
-            quads = means.reshape(views, h, 2, w, 2, count)
-            up, down = quads[:, :, 0], quads[:, :, 1]
-            total, change = _HALF * (up + down), _HALF * (up - down)
             details = coefficients[group.rows].reshape(3, *group.grid, count)
-            np.subtract(total[..., 0, :], total[..., 1, :], out=details[0])
-            np.add(change[..., 0, :], change[..., 1, :], out=details[1])
-            np.subtract(change[..., 0, :], change[..., 1, :], out=details[2])
-            means = total[..., 0, :] + total[..., 1, :]
-        coefficients[self.groups[-1].rows] = means.reshape(-1, count)
+            means = np.empty((*group.grid, count), np.float32)
+            divide_into_details(finer, means, details)
+            finer = means
+        coefficients[self.groups[-1].rows] = finer.reshape(-1, count)
         return coefficients
 
     def inverse(self, coefficients: Float) -> Float:
         """Compute the P images (cells, P) of coefficients (size, P)."""
+        from rfpipe.transport.haar_kernels import combine_details
+
         count, (views, height, width) = coefficients.shape[1], self.stack
+        coefficients = np.ascontiguousarray(coefficients, np.float32)
         last = self.groups[-1]
-        means: Float = coefficients[last.rows].reshape(*last.grid, count)
+        means = coefficients[last.rows].reshape(*last.grid, count)
         for group in reversed(self.groups[:-1]):
-            details = _HALF * coefficients[group.rows].reshape(3, *group.grid, count)
-            horizontal, vertical, diagonal = details
-            means, (_, h, w) = _HALF * means, group.grid
-            quads = np.empty((views, h, 2, w, 2, count), np.float32)
-            for row, column in ((0, 0), (0, 1), (1, 0), (1, 1)):
-                x, y = (1 - 2 * column), (1 - 2 * row)
-                quads[:, :, row, :, column] = (
-                    means + x * horizontal + y * vertical + x * y * diagonal
-                )
-            means = quads.reshape(views, 2 * h, 2 * w, count)
+            details = coefficients[group.rows].reshape(3, *group.grid, count)
+            finer = np.empty((views, 2 * group.grid[1], 2 * group.grid[2], count), np.float32)
+            combine_details(means, details, finer)
+            means = finer
         return np.ascontiguousarray(means[:, :height, :width]).reshape(-1, count)
+
+    def forward_both(self, matrix: Float, columns: Haar) -> Float:
+        """Compute ``W K W'^T`` of a matrix K; W' transforms its columns' images."""
+        return transposed(columns.forward(transposed(self.forward(matrix))))
+
+    def inverse_both(self, coefficients: Float, columns: Haar) -> Float:
+        """Compute ``K = W^T X W'`` of coefficients X; W' transforms its columns' images."""
+        return transposed(columns.inverse(transposed(self.inverse(coefficients))))
+
+
+def transposed(matrix: Float) -> Float:
+    """Return a contiguous copy of the transpose of a matrix."""
+    from rfpipe.transport.haar_kernels import transpose
+
+    out = np.empty(matrix.shape[::-1], np.float32)
+    transpose(matrix, out)
+    return out
 
 
 def cell_side(shape: tuple[int, ...], limit: int) -> int:

@@ -232,7 +232,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if state.cell_pictures is not None:
             parts.append(state.cell_pictures)
         projector = self._model(state).projector_cells(camera, base.transport)
-        residual = fit_residual(camera, projector, joined(parts, axis=0), base.transport)
+        # the residual of the same transport, if there is one, is fitted to fewer pictures
+        previous = state.residual if state.residual_of_hierarchy == base.is_hierarchy else None
+        together = joined(parts, axis=0)
+        residual = fit_residual(camera, projector, together, base.transport, previous)
         return replace(state, residual=residual, residual_of_hierarchy=base.is_hierarchy)
 
     # --- the hierarchy

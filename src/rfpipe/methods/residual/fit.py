@@ -3,30 +3,38 @@
 `rfpipe.methods.residual.model` has the model's equation and symbols. The residual of the pictures,
 fitted to cells, determines K (`rfpipe.methods.residual.posterior`). The light between two cells,
 K plus the light of T0 there, can't be negative. This constraint contributes as much to K as many
-pictures would. It is imposed by alternation: clip K, then add a fit to the residual of the clipped
-K. The last fit isn't clipped, so that the constraint holds nearly, not exactly.
+pictures would. It is imposed by steps that clip K and add a fit to the residual of the clipped K,
+as in projected gradient methods with Nesterov's momentum [1]_. The last fit isn't clipped, so that
+the constraint holds nearly, not exactly.
+
+The steps begin at the residual of the round before, or at the brightest channel's K. Twice as many
+from K = 0 leave the same error, within 1 % on the benchmark's tuning scenes.
+
+References
+----------
+.. [1] A. Beck and M. Teboulle, *A fast iterative shrinkage-thresholding algorithm for linear
+   inverse problems*, SIAM J. Imaging Sci. 2 (2009).
 """
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Float
 from rfpipe.methods.images import relight_white
+from rfpipe.methods.residual.cell_data import CellData, cell_data
 from rfpipe.methods.residual.model import CameraCells, CellPictures, ProjectorCells, Residual
-from rfpipe.methods.residual.posterior import (
-    CellData,
-    Posterior,
-    cell_data,
-    initial_prior,
-    learned_prior,
-)
+from rfpipe.methods.residual.posterior import PairExchange, Posterior
+from rfpipe.methods.residual.prior import learn_prior, threshold_below
 from rfpipe.steps import step, steps
 from rfpipe.transport.base import Transport
 
-# Number of times that the prior is learned and that K is clipped; iterations of each solution.
-_LEARNINGS, _CLIPPINGS, _ITERATIONS = 2, 8, 8
+# Number of steps of a fit from K = 0 and from an estimate of K; iterations of each step's solution,
+# and the factor of the variances in it.
+_STEPS, _STEPS_FROM_ESTIMATE, _ITERATIONS, _NOISE_SCALE = 6, 3, 8, 8
 # Largest number of pictures in the fit: the time grows with its square, and so does the memory, to
 # 1.3 GB for 4096 cells.
 _MOST_PICTURES = 512
@@ -40,7 +48,11 @@ _TINY = float(np.finfo(np.float32).tiny)
 
 
 def fit_residual(
-    camera: CameraCells, projector: ProjectorCells, pictures: CellPictures, model: Transport
+    camera: CameraCells,
+    projector: ProjectorCells,
+    pictures: CellPictures,
+    model: Transport,
+    previous: Residual | None = None,
 ) -> Residual:
     """Compute the most probable residual of a model.
 
@@ -53,35 +65,45 @@ def fit_residual(
         Of all rounds, the floodlit picture first.
     model : Transport
         T0; it need not be accurate.
+    previous : Residual, optional
+        Residual of the same model for fewer pictures; the fit starts from it.
     """
     chosen, residual, variance = _fitted_pictures(camera, pictures, model)
     lit, observed = pictures.lit[chosen], pictures.radiance[chosen]
-    channels, sizes = len(camera.factor), (camera.cells.haar.size, projector.cells.haar.size)
-    cores = np.zeros((channels, *sizes), np.float32)
-    power = np.zeros((channels, sizes[1]))
-    prior: Float | None = None
-    brightest = int(np.argmax(camera.brightest))
+    haar, sender_haar = camera.cells.haar, projector.cells.haar
+    cores = np.zeros((len(camera.factor), haar.size, sender_haar.size), np.float32)
+    power = np.zeros((len(camera.factor), sender_haar.size))
     # the prior is learned from the brightest channel, whose noise is least, and serves all
-    order = sorted(range(channels), key=lambda channel: channel != brightest)
-    shining = [channel for channel in order if camera.brightest[channel] > 0]
-    with steps("light between cells", _LEARNINGS + len(shining) * (1 + _CLIPPINGS)):
+    shining = np.argsort(-camera.brightest, kind="stable")[: np.count_nonzero(camera.brightest > 0)]
+    prior = brightest_matrix = None
+    with steps("light between cells", _solution_count(len(shining), previous is not None)):
         for channel in shining:
             data = cell_data(
-                camera.cells.haar,
+                haar,
                 projector.cells.total(lit * projector.factor[channel]),
                 residual[:, channel].T,
                 variance[:, channel].T,
-                None if projector.places is None else (projector.cells.haar, projector.places),
+                None if projector.places is None else (sender_haar, projector.places),
             )
-            prior = _learn_prior(data) if prior is None else prior
-            share = camera.brightest[channel] / camera.brightest[brightest]
+            prior = learn_prior(data) if prior is None else prior
+            share = np.float32(camera.brightest[channel] / camera.brightest[shining[0]])
+            start = None if brightest_matrix is None else share * brightest_matrix
+            if previous is not None:
+                first, second = previous.pairs
+                start = data.matrix(first, second, previous.cores[channel])
             model_light = _light_between_cells(camera, projector, model, channel)
-            matrix = _fit_nearly_non_negative(data, prior * share**2, model_light)
-            half = camera.cells.haar.forward(matrix)
-            cores[channel] = projector.cells.haar.forward(np.ascontiguousarray(half.T)).T
+            matrix = _fit_nearly_non_negative(data, prior * share**2, model_light, start)
+            brightest_matrix = matrix if brightest_matrix is None else brightest_matrix
+            cores[channel] = haar.forward_both(matrix, sender_haar)
             energy = np.square(observed[:, channel], dtype=np.float64).sum(axis=1).mean()
             power[channel] = np.square(data.light, dtype=np.float64).mean(axis=1) / energy
     return _without_small_cores(cores, power, projector)
+
+
+def _solution_count(channels: int, has_previous: bool) -> int:
+    """Count the solutions of a fit, for displays of progress."""
+    first = _STEPS_FROM_ESTIMATE if has_previous else _STEPS
+    return 1 + first + (channels - 1) * _STEPS_FROM_ESTIMATE
 
 
 def _fitted_pictures(
@@ -110,23 +132,16 @@ def _fitted_pictures(
     return chosen, residual[chosen], variance[chosen]
 
 
-def _learn_prior(data: CellData) -> Float:
-    """Learn the prior variances of the exchange between cells from the pictures."""
-    prior = initial_prior(data)
-    for _ in range(_LEARNINGS):
-        posterior = Posterior.of(data, prior)
-        prior = learned_prior(posterior, posterior.solve(data.observed, _ITERATIONS).core)
-        step()
-    return prior
-
-
-def _fit_nearly_non_negative(data: CellData, prior: Float, model_light: Float) -> Float:
+def _fit_nearly_non_negative(
+    data: CellData, prior: Float, model_light: Float, start: Float | None
+) -> Float:
     """Compute K, (M', N'), such that light between cells is nearly non-negative.
 
-    Each of 8 clippings raises K to at least minus the model's light between cells, and is followed
-    by a fit to the residual of the clipped K. Since each of these fits would follow more of the
-    noise, they count its variance 8 times. The last of them isn't clipped: K may be below the bound
-    by its correction. The light of a cell to itself is not bounded on coaxial rigs.
+    Each step extrapolates the change of the last step (Nesterov's momentum), raises K to at least
+    minus the model's light between cells, and adds a fit to the residual of this K. Since each of
+    these fits would follow more of the noise, they count its variance 8 times. The last of them
+    isn't clipped: K may be below the bound by its correction. The light of a cell to itself is not
+    bounded on coaxial rigs.
 
     Parameters
     ----------
@@ -135,19 +150,23 @@ def _fit_nearly_non_negative(data: CellData, prior: Float, model_light: Float) -
         V.
     model_light : ndarray of float32, shape (M', N')
         Light of T0 between cells, over f and g.
+    start : ndarray of float32, shape (M', N'), optional
+        First estimate of K; 0 by default.
     """
-    posterior = Posterior.of(data, prior)
-    core, direct = posterior.solve(data.observed, 2 * _ITERATIONS)
-    matrix = data.matrix(core)
-    step()
-    posterior = Posterior.of(data, prior, _CLIPPINGS)
-    is_between = np.ones(matrix.shape, np.bool_)
-    if data.is_symmetric:
-        np.fill_diagonal(is_between, val=False)
-    for _ in range(_CLIPPINGS):
-        np.maximum(matrix, -model_light, out=matrix, where=is_between)
+    from rfpipe.methods.residual.pair_kernels import extrapolate
+
+    exchange = PairExchange.of(data, prior)
+    posterior = Posterior.of(data, prior, exchange, _NOISE_SCALE)
+    matrix = np.zeros_like(model_light) if start is None else start
+    direct = data.direct(matrix)
+    previous, previous_direct, momentum = matrix.copy(), direct, 1.0
+    for _ in range(_STEPS if start is None else _STEPS_FROM_ESTIMATE):
+        following = (1 + math.sqrt(1 + 4 * momentum**2)) / 2
+        weight, momentum = (momentum - 1) / following, following
+        extrapolate(matrix, previous, weight, -model_light, data.is_symmetric)
+        direct, previous_direct = direct + np.float32(weight) * (direct - previous_direct), direct
         core, more_direct = posterior.solve(data.residual(matrix, direct), _ITERATIONS)
-        matrix += data.matrix(core)
+        matrix += data.matrix(exchange.pairs.first, exchange.pairs.second, core)
         direct = direct + more_direct
         step()
     return matrix
@@ -186,9 +205,7 @@ def _without_small_cores(
     if projector.is_coaxial:
         change[np.diag_indices(len(change))] /= 2
         change = np.triu(change)
-    rising = np.sort(change, axis=None)
-    dropped = np.searchsorted(np.cumsum(rising, dtype=np.float64), _REMOVED**2, side="right")
-    least = np.append(rising, np.inf)[dropped]
+    least = threshold_below(change, _REMOVED**2)
     pairs = np.stack(np.nonzero(change >= max(least, _TINY))).astype(np.int32)
     channels = len(cores)
     factor = np.zeros((channels, 0), np.float32) if projector.is_coaxial else projector.factor
