@@ -82,6 +82,7 @@ def items(size: Size) -> Items:
     yield replace(
         row,
         patterns=patterns,
+        pictures=sum(result.pictures for result in results),
         megabytes=sum(result.transport.nbytes for result in results) / 1e6,
         processing_s=sum(result.processing_seconds for result in results),
     )

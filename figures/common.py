@@ -72,6 +72,7 @@ class Cost:
     camera_rays: int
     rays: int
     patterns: int
+    pictures: int
     megabytes: float
     processing_s: float
     error: float
@@ -219,6 +220,7 @@ def cost(table: str, figure: str, scene: Any, result: Any, error: float, **more:
         "camera_rays": int(np.prod(scene.camera_shape)),
         "rays": int(np.prod(scene.projector_shape)),
         "patterns": result.patterns,
+        "pictures": result.pictures,
         "megabytes": result.transport.nbytes / 1e6,
         "processing_s": result.processing_seconds,
         **more,
