@@ -21,8 +21,11 @@ symbol  name in the code       meaning and unit
 ``p``   `expected_patterns`    patterns that it is expected to show
 ``n``   the result             all-on, or all-off, brackets
 ``h``   `all_on`, `all_off`    noise of one bracket, relative to the norm of the floodlit image
-``a``   `_POWER`               no unit, see `rfpipe.methods.adaptive.decisions.EXPECTED_POWER`
+``a``   `SLOWEST_POWER`        power of p by which e falls at least while a method continues
 ======  =====================  =====================================================================
+
+The slowest power is used, since near a target errors often fall slowly: a method that lacks a tenth
+of its target then shows many patterns that a few all-on brackets would have saved.
 """
 
 from __future__ import annotations
@@ -36,6 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.methods.adaptive.decisions import SLOWEST_POWER
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.storage.base import (
@@ -55,8 +59,6 @@ MOST_ALL_OFF, MOST_ALL_ON = 8, 64
 
 REFERENCE_PARTS = (REFERENCE_BRACKETS, MORE_REFERENCE_BRACKETS)
 """Stores of the brackets, and their keys in the manifest of level 0's capture."""
-
-_POWER = 1.25
 
 _TINY = float(np.finfo(np.float64).tiny)
 
@@ -117,7 +119,7 @@ class ReferenceNoise:
 def _needed(ratio: float, expected_patterns: int, largest: int) -> int:
     """Solve for n; `ratio` is the noise of a bracket over the target."""
     r = min(ratio, 1e6) ** 2
-    return min(largest, ceil((r + sqrt(r**2 + 2 * r * expected_patterns / _POWER)) / 2))
+    return min(largest, ceil((r + sqrt(r**2 + 2 * r * expected_patterns / SLOWEST_POWER)) / 2))
 
 
 def reference_counts(captured: Manifest) -> ReferenceCounts:
