@@ -55,9 +55,10 @@ def counts_on_files(folder: Path, electrons: float) -> ReferenceCounts:
     ("noise", "target", "patterns", "expected"),
     [
         (0.0, 0.01, 30, FIRST),
-        (0.005, 0.01, 30, FIRST),  # r = 1/4, n = 1.9
-        (0.02, 0.01, 30, ReferenceCounts(8, 10)),  # r = 4, n = 9.2
-        (0.02, 0.01, 2000, ReferenceCounts(8, 59)),  # many patterns are worth more brackets
+        (0.0025, 0.01, 30, ReferenceCounts(2, 4)),  # r = 1/16, n = 1.97
+        (0.005, 0.01, 60, ReferenceCounts(6, 6)),  # r = 1/4, n = 5.6
+        (0.02, 0.01, 30, ReferenceCounts(8, 18)),  # r = 4, n = 17.6
+        (0.005, 0.01, 2000, ReferenceCounts(8, 32)),  # many patterns are worth more brackets
         (np.inf, 0.01, 30, ReferenceCounts(MOST_ALL_OFF, MOST_ALL_ON)),
     ],
 )

@@ -74,6 +74,8 @@ _SPOTS = 20  # at most, in one pattern
 # Largest share of the rays that the bars or spots of a pattern light; small images have fewer.
 _MOST_LIT = 0.5
 _SHAPES_LIT = 0.3  # share of the rays that shapes light
+# Standard errors from which the pictures' variances are contradicted by the difference of two.
+_NOISE_SIGNIFICANCE = 3.0
 _CANDIDATES = 20  # random places of a spot, of which the one farthest from all other spots is used
 
 
@@ -196,7 +198,8 @@ def estimate_error(
     """Estimate a transport's mean error from the held-out pictures.
 
     Noise is subtracted: the variances of the pictures, scaled to the difference of the two pictures
-    of the first pattern. Pixels that are unknown or saturated don't count.
+    of the first pattern where that contradicts them. Pixels that are unknown or saturated don't
+    count.
 
     Parameters
     ----------
@@ -268,13 +271,19 @@ class _Comparison:
 def _noise_variance(held_out: Pictures) -> Double:
     """Estimate the variance of each pixel's noise, summed over channels, (pictures, M).
 
-    The pictures' variances are scaled to the difference of the first two.
+    The pictures' variances are scaled to the difference of the first two where it contradicts them:
+    where their noise is mostly that of a few bright pixels, the difference is less certain than the
+    variances of a calibrated camera.
     """
     known = held_out.measured
     stated = np.where(known, held_out.variance, 0).astype(np.float64)
     first, second = held_out.radiance[:2][..., known].astype(np.float64)
-    expected = float(stated[:2].sum())
-    scale = float(np.square(first - second).sum()) / expected if expected > 0 else 0.0
+    variance = stated[:2].sum(axis=0)
+    expected, measured = float(variance.sum()), float(np.square(first - second).sum())
+    # the square of normal noise of the variance v has the variance 2 v^2
+    deviation = float(np.sqrt(2 * np.square(variance).sum()))
+    contradicts = abs(measured - expected) > _NOISE_SIGNIFICANCE * deviation
+    scale = measured / expected if contradicts and expected > 0 else 1.0
     return np.asarray(scale * stated.sum(axis=1))
 
 
