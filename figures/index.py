@@ -104,8 +104,8 @@ _COSTS = (
     "Measured at the size of this run: patterns, pictures on the rig for all purposes, minutes "
     "(these pictures at the thesis' seconds each, and the processing as it took here), MB stored, "
     "relative error of relit pictures. Brute force is computed: a pattern a projector pixel, dense "
-    "T in three 32-bit floats an entry. Extrapolated: patterns at the thesis' resolution by the line and the power law of Fig. 3.8, "
-    "through ours; not measured. Last, the thesis' numbers."
+    "T in three 32-bit floats an entry. Extrapolated: patterns at the thesis' resolution by the "
+    "line and the power law of Fig. 3.8, through ours; not measured. Last, the thesis' numbers."
 )
 
 
