@@ -13,9 +13,11 @@ from rfpipe.references.reference_brackets import (
     FIRST_ALL_ON,
     MOST_ALL_OFF,
     MOST_ALL_ON,
+    ReferenceCounts,
+    ReferenceNoise,
 )
 from rfpipe.storage.picture_counts import PictureCounts
-from rfpipe.units import RADIANCE, SYMMETRY_BRACKETS
+from rfpipe.units import BLACK_LEVEL_KEY, FLOODLIT_KEY, RADIANCE, SYMMETRY_BRACKETS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -27,6 +29,9 @@ if TYPE_CHECKING:
 
 _BLOCK_BYTES = 4096
 """Block size of file systems; a file takes whole blocks."""
+
+_SAMPLE_SHAPE = (16, 16)
+"""Shape of the simulated floodlit image by which the reference brackets are forecast."""
 
 
 def disk_bytes(
@@ -113,19 +118,22 @@ def expected_pictures(
     plan : Plan
     patterns : int
     is_largest : bool
-        Whether to count the reference brackets of a scene with little light.
+        Whether to count the largest number of reference brackets, as of a scene with little light.
     """
-    from rfpipe.photometry import ExactSensor, sensor_from_config
+    from rfpipe.photometry import sensor_from_config
 
     capture, verification = settings.capture, settings.verification_pictures
-    is_exact = isinstance(sensor_from_config(settings.camera), ExactSensor)
+    sensor = sensor_from_config(settings.camera)
+    as_needed = ReferenceCounts(MOST_ALL_OFF, MOST_ALL_ON)
+    if not is_largest:
+        as_needed = _expected_references(sensor, plan)
     interval = capture.precautions.check_interval if capture.watch != "off" else 0
     checks = 0
     if interval:
         # a level and the verification have a check picture more than intervals
         checks = check_picture_count(patterns, interval) + 2 * (verification > 0)
     return PictureCounts(
-        references=2 if is_exact else sum(_reference_counts(capture, is_largest=is_largest)),
+        references=sum(_reference_counts(capture, sensor, as_needed)),
         symmetry=plan.measures_symmetry * SYMMETRY_BRACKETS,
         patterns=patterns,
         checks=checks,
@@ -133,11 +141,35 @@ def expected_pictures(
     )
 
 
-def _reference_counts(capture: CaptureConfig, *, is_largest: bool) -> tuple[int, int]:
-    """Return the numbers of all-off and all-on brackets, with full light or with little."""
+def _expected_references(sensor: Sensor, plan: Plan) -> ReferenceCounts:
+    """Compute the reference brackets of a scene whose radiance is spread evenly from 0 to 1."""
+    from rfpipe.photometry import CameraModel
+
+    if not isinstance(sensor, CameraModel):
+        return ReferenceCounts(FIRST_ALL_OFF, FIRST_ALL_ON)
+    ramp = np.linspace(0, 1, prod(_SAMPLE_SHAPE), dtype=np.float32).reshape(*_SAMPLE_SHAPE, 1)
+    floodlit = np.repeat(ramp, plan.channels, axis=-1)
+    all_off, all_on = (
+        np.stack([sensor.expose(image, 0, (kind, index)) for index in range(count)])
+        for kind, image, count in (
+            (BLACK_LEVEL_KEY, 0 * floodlit, FIRST_ALL_OFF),
+            (FLOODLIT_KEY, floodlit, FIRST_ALL_ON),
+        )
+    )
+    noise = ReferenceNoise.of(sensor, all_off, all_on)
+    return noise.needed(plan.target_error, plan.expected_patterns)
+
+
+def _reference_counts(
+    capture: CaptureConfig, sensor: Sensor, as_needed: ReferenceCounts
+) -> ReferenceCounts:
+    """Return the numbers of all-off and all-on brackets, those of the settings if given."""
+    from rfpipe.photometry import ExactSensor
+
+    if isinstance(sensor, ExactSensor):
+        return ReferenceCounts(1, 1)
     fixed = capture.precautions
-    as_needed = (MOST_ALL_OFF, MOST_ALL_ON) if is_largest else (FIRST_ALL_OFF, FIRST_ALL_ON)
-    return (
-        capture.all_off_brackets or fixed.all_off_brackets or as_needed[0],
-        capture.all_on_brackets or fixed.all_on_brackets or as_needed[1],
+    return ReferenceCounts(
+        capture.all_off_brackets or fixed.all_off_brackets or as_needed.all_off,
+        capture.all_on_brackets or fixed.all_on_brackets or as_needed.all_on,
     )
