@@ -41,7 +41,7 @@ def test_reference_images_do_not_depend_on_batches(camera: Any) -> None:
         off[:, :, 4, 5] = 3000  # hot
     together = estimate_references(camera, [off], [on])
     apart = estimate_references(
-        camera, (off[i : i + 2] for i in range(0, 5, 2)), (on[i : i + 1] for i in range(6))
+        camera, (off[i : i + 2] for i in range(0, 5, 2)), [on[i : i + 1] for i in range(6)]
     )
     np.testing.assert_array_equal(apart.merge.black, together.merge.black)
     for name in ("floodlit", "floodlit_variance"):

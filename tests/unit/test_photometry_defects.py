@@ -6,7 +6,13 @@ import numpy as np
 import pytest
 
 from rfpipe.photometry import CameraModel, Sensor
-from rfpipe.photometry.defects import DarkFrames, DefectMap, check_floodlit, find_defects
+from rfpipe.photometry.defects import (
+    DarkFrames,
+    DefectMap,
+    FrameRange,
+    check_floodlit,
+    find_defects,
+)
 
 CAMERA = CameraModel()
 
@@ -21,7 +27,9 @@ def capture(
 
 
 def defects_of(off: np.ndarray, lit: np.ndarray, sensor: Sensor) -> DefectMap:
-    return find_defects(DarkFrames.of(off), lit, sensor)
+    lit_range = FrameRange()
+    lit_range.add(lit[None])
+    return find_defects(DarkFrames.of(off), lit_range, sensor)
 
 
 def texture(shape: tuple[int, ...] = (40, 50, 3)) -> np.ndarray:
@@ -130,3 +138,18 @@ def test_a_floodlit_image_must_have_light() -> None:
     spot[4, 5] = 0.01  # a few lit pixels don't show in the sum
     check_floodlit(*floodlit(spot))
     check_floodlit(spot, np.zeros_like(spot))
+
+
+def test_few_dark_frames_and_pictures_of_other_patterns_show_dead_pixels() -> None:
+    scene = texture((200, 200, 1))
+    off, _ = capture(CAMERA, scene, 2)
+    lit = np.stack([CAMERA.expose(scene, 1, (0, index)) for index in range(11)])
+    for frames in (off, lit):
+        frames[:, :, 8, 9] = 65
+    few, many = FrameRange(), FrameRange()
+    few.add(lit[:1])
+    many.add(lit)
+    assert find_defects(DarkFrames.of(off), few, CAMERA).dead == 0  # might be chance
+    defects = find_defects(DarkFrames.of(off), many, CAMERA)
+    assert np.argwhere(defects.mask).tolist() == [[8, 9]]
+    assert defects.dead == 1

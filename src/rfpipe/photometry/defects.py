@@ -92,19 +92,44 @@ class DarkFrames:
         return np.asarray(spread / (self.count - 1))
 
 
-def find_defects(dark: DarkFrames, floodlit_frames: NDArray[Any], sensor: Sensor) -> DefectMap:
-    """Find pixels that are hot, dead or stuck, from dark frames and a floodlit bracket (E, ...).
+class FrameRange:
+    """Range of brackets of any patterns, accumulated one by one.
+
+    Attributes
+    ----------
+    count : int
+        Number of brackets.
+    smallest, largest : ndarray, shape (E, ...)
+        The smallest and the largest value of each sample, in the brackets' dtype.
+    """
+
+    def __init__(self) -> None:
+        self.count = 0
+        self.smallest: NDArray[Any] = np.zeros(0)
+        self.largest: NDArray[Any] = np.zeros(0)
+
+    def add(self, frames: NDArray[Any]) -> None:
+        """Add brackets (B, E, ...)."""
+        for bracket in frames:
+            is_first = not self.count
+            self.smallest = bracket if is_first else np.minimum(self.smallest, bracket)
+            self.largest = bracket if is_first else np.maximum(self.largest, bracket)
+            self.count += 1
+
+
+def find_defects(dark: DarkFrames, lit: FrameRange, sensor: Sensor) -> DefectMap:
+    """Find pixels that are hot, dead or stuck, from dark frames and the range of lit ones.
 
     Notes
     -----
     Hot: the mean of the black frames, or (with two or more) their variance, is an outlier of any
     exposure, relative to the robust spread over pixels. Dead or stuck: all frames of an exposure,
-    including the floodlit one, have the same count. A pixel that receives no light has the noise of
+    including the lit ones, have the same count. A pixel that receives no light has the noise of
     any other pixel and is not a defect. Where rounding hides the noise, constant counts are no
     evidence, and no pixel is dead.
     """
     hot = find_hot(dark)
-    dead = _constant(dark, floodlit_frames)
+    dead = _constant(dark, lit)
     has_channels = len(sensor.frame_shape((2, 2), 3)) == 4
     if not has_channels:
         hot, dead = hot[..., None], dead[..., None]
@@ -134,9 +159,10 @@ def find_hot(dark: DarkFrames) -> Bools:
     return hot
 
 
-def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Bools:
+def _constant(dark: DarkFrames, lit: FrameRange) -> Bools:
     """Find photosites with constant counts in all frames, unless this is possible by chance."""
-    constant: Bools = (dark.smallest == dark.largest) & (floodlit_frames == dark.smallest)
+    constant: Bools = (dark.smallest == dark.largest) & (lit.smallest == dark.smallest)
+    constant &= lit.largest == dark.smallest
     # a black level at 0 counts clips the noise
     constant &= ~((dark.smallest == 0) & (np.median(dark.smallest) == 0))
     stuck: Bools = np.asarray(constant.all(axis=0))
@@ -148,7 +174,7 @@ def _constant(dark: DarkFrames, floodlit_frames: NDArray[Any]) -> Bools:
         deviation = np.sqrt(max(float(np.median(variance)) - 1 / 12, 0.0))
         # constant counts are most probable for a mean at an integer
         once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
-        chance += (dark.count + 1) * log(once)
+        chance += (dark.count + lit.count) * log(once)
     return stuck if chance < -(DEFECT_SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
 
 

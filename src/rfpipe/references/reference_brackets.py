@@ -48,6 +48,7 @@ from rfpipe.storage.base import (
     Facts,
     Manifest,
     Storage,
+    StoredPictures,
 )
 
 FIRST_ALL_OFF, FIRST_ALL_ON = 2, 4
@@ -131,31 +132,47 @@ def reference_counts(captured: Manifest) -> ReferenceCounts:
     return ReferenceCounts(*map(sum, zip(*sets, strict=True)))
 
 
-class ReferenceBrackets(NamedTuple):
-    """The reference brackets of an acquisition, (1, E, ...) each, read when needed."""
+@dataclass(frozen=True)
+class StoredBrackets:
+    """Reference brackets of one kind, (1, E, ...) each, read whenever they are iterated over.
 
-    all_off: Iterator[NDArray[Any]]
-    all_on: Iterator[NDArray[Any]]
+    Attributes
+    ----------
+    stores : tuple of (StoredPictures, list of int)
+        Stores, and the indices of the brackets in each.
+    """
+
+    stores: tuple[tuple[StoredPictures, list[int]], ...]
+
+    def __iter__(self) -> Iterator[NDArray[Any]]:
+        """Read one bracket after the other."""
+        for store, indices in self.stores:
+            for index in indices:
+                yield store.read(index, index + 1)
+
+
+class ReferenceBrackets(NamedTuple):
+    """The reference brackets of an acquisition."""
+
+    all_off: StoredBrackets
+    all_on: StoredBrackets
 
 
 @contextmanager
 def open_reference_brackets(storage: Storage) -> Iterator[ReferenceBrackets]:
     """Open the reference brackets of level 0, which is captured; errors as `Storage.pictures`."""
     captured = storage.read_manifest(0, "capture")
+    parts = [part for part in REFERENCE_PARTS if part in captured]
     with ExitStack() as stack:
-        stores = [
-            (
-                stack.enter_context(storage.pictures(0, "capture", part)),
-                counts_of_set(captured[part]).is_off,
+        stores = [stack.enter_context(storage.pictures(0, "capture", part)) for part in parts]
+        kinds = [np.array(counts_of_set(captured[part]).is_off) for part in parts]
+        all_off, all_on = (
+            StoredBrackets(
+                tuple(
+                    (store, np.flatnonzero(is_off == kind).tolist())
+                    for store, is_off in zip(stores, kinds, strict=True)
+                )
             )
-            for part in REFERENCE_PARTS
-            if part in captured
-        ]
-
-        def brackets(of_kind: bool) -> Iterator[NDArray[Any]]:
-            for store, is_off in stores:
-                for index, is_all_off in enumerate(is_off):
-                    if is_all_off == of_kind:
-                        yield store.read(index, index + 1)
-
-        yield ReferenceBrackets(brackets(True), brackets(False))
+            for kind in (True, False)
+        )
+        yield ReferenceBrackets(all_off, all_on)

@@ -7,7 +7,7 @@ are merged with the black level and the defects.
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import chain
@@ -22,6 +22,7 @@ from rfpipe.photometry import CameraModel
 from rfpipe.photometry.defects import (
     DarkFrames,
     DefectMap,
+    FrameRange,
     check_floodlit,
     find_defects,
 )
@@ -30,12 +31,15 @@ from rfpipe.photometry.sensor import BracketMerge, ExactSensor, MergedImages, Se
 from rfpipe.references.exposure_advice import REMEDIES, FloodlitFault, RigKind, kind_of_rig
 from rfpipe.references.image_sum import ImageSum
 from rfpipe.references.reference_brackets import open_reference_brackets, reference_counts
-from rfpipe.storage.base import REFERENCE_IMAGES, Storage
+from rfpipe.storage.base import REFERENCE_IMAGES, SYMMETRY, Storage
 
 Brackets = NDArray[Any]
 
 _MAX_SATURATED = 0.01
 """Share of the floodlit image that may be saturated at every exposure: highlights, no surfaces."""
+
+_MOST_FURTHER = 8
+"""Pictures of the symmetry test, and of level 0, in which dead pixels are searched for."""
 
 _log = logging.getLogger(__name__)
 
@@ -129,6 +133,7 @@ def estimate_references(
     floodlit_brackets: Iterable[Brackets],
     mask_defects: bool = True,
     rig_kind: RigKind = RigKind.DEVICES,
+    further_lit: Iterable[Brackets] = (),
 ) -> ReferenceImages:
     """Estimate black level, defects and floodlit image from the reference brackets.
 
@@ -136,11 +141,13 @@ def estimate_references(
     ----------
     sensor : Sensor
     black_brackets, floodlit_brackets : iterable of ndarray, shape (B, E, ...)
-        Batches of all-off and of all-on brackets. The all-off batches are read first.
+        Batches of all-off and of all-on brackets. The all-on ones are read twice.
     mask_defects : bool
         Whether dead and hot pixels are searched for; exact radiance has none.
     rig_kind : RigKind
         Kind of the rig, for the remedies in messages.
+    further_lit : iterable of ndarray, shape (B, E, ...)
+        Batches of brackets of other patterns, in which dead pixels are constant, too.
 
     Raises
     ------
@@ -152,16 +159,18 @@ def estimate_references(
     dark = DarkFrames()
     for brackets in black_brackets:
         dark.add(brackets)
-    batches = iter(floodlit_brackets)
-    first = next(batches)
     is_camera = not isinstance(sensor, ExactSensor)
     defects = None
     if mask_defects and is_camera:
-        defects = find_defects(dark, first[0], sensor)
+        lit = FrameRange()
+        for brackets in chain(floodlit_brackets, further_lit):
+            lit.add(brackets)
+        defects = find_defects(dark, lit, sensor)
         _check_defects(defects)
     merge = DefectMaskingMerge(sensor, dark.mean.astype(np.float32), dark.count, defects)
-    total = _sum_of(merge, chain([first], batches))
-    _check_saturation(total.saturated / (total.count * first[0, 0].size), sensor, rig_kind)
+    total = _sum_of(merge, floodlit_brackets)
+    samples = total.count * dark.mean[0].size
+    _check_saturation(total.saturated / samples, sensor, rig_kind)
     if is_camera:
         known = np.isfinite(total.variance)
         remedy = REMEDIES[FloodlitFault.DARK][rig_kind]
@@ -215,8 +224,17 @@ def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> 
     rig_kind = kind_of_rig(storage.read_manifest(0, "capture")["rig"])
     with open_reference_brackets(storage) as brackets:
         return estimate_references(
-            sensor, brackets.all_off, brackets.all_on, mask_defects, rig_kind
+            sensor, brackets.all_off, brackets.all_on, mask_defects, rig_kind, _further_lit(storage)
         )
+
+
+def _further_lit(storage: Storage) -> Iterator[Brackets]:
+    """Read the random patterns of the symmetry test, and the first patterns of level 0."""
+    for part in (SYMMETRY, None):
+        if part is None or part in storage.read_manifest(0, "capture"):
+            with storage.pictures(0, "capture", part) as store:
+                for index in range(min(store.shape[0], _MOST_FURTHER)):
+                    yield store.read(index, index + 1)
 
 
 def write_references(storage: Storage, references: ReferenceImages) -> dict[str, Any]:
