@@ -145,8 +145,12 @@ def _gains_so_far(
 def _log_brightness(
     level: int, differences: list[Difference], facts: dict[str, Any], *, divide_out: bool
 ) -> None:
-    """Log a change of brightness that exceeds the noise, and how it is treated."""
-    span = np.ptp([difference.gain for difference in differences], axis=0)
+    """Log a change of brightness that exceeds the noise, and how it is treated.
+
+    Brightness is relative to the acquisition's first check picture, which may be of another level.
+    """
+    gains = [difference.gain for difference in differences]
+    span = np.ptp([np.ones_like(gains[0]), *gains], axis=0)
     noise = np.max([difference.deviation for difference in differences], axis=0)
     if not (span > SIGNIFICANCE * np.sqrt(2) * noise).any():
         return
