@@ -79,6 +79,7 @@ def _end(starter: subprocess.Popen[str]) -> None:
 
 def _serve() -> None:
     from rfpipe.jobs.forked_scripts import SERVERS
+    from rfpipe.provenance import code_digest
 
     for threads in _THREADS:
         SERVERS.start(threads)
@@ -87,6 +88,8 @@ def _serve() -> None:
     get_argument_parser()  # loads the plug-ins, for their options
     for name in _OF_SNAKEMAKE:
         import_module(name)
+    for pages in (False, True):
+        code_digest(pages=pages)  # cached for all runs
     for line in sys.stdin:
         process = os.fork()
         if process == 0:

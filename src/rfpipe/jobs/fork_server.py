@@ -36,8 +36,10 @@ _LIBRARIES = (
     "rfpipe.methods.symmetric.classification_kernels",
     "rfpipe.methods.symmetric.method",
     "rfpipe.methods.symmetric.piece_kernels",
+    "rfpipe.report",
     "rfpipe.scenes.rooms",
     "rfpipe.stages.acquisition",
+    "rfpipe.stages.evaluate",
     "rfpipe.stages.job",
     "rfpipe.stages.relight",
     "rfpipe.stages.verification",
@@ -50,7 +52,7 @@ _LIBRARIES = (
     "snakemake.script",
     "zarr",
 )
-"""Modules of the workflow's jobs, except those that a single job of a run loads, as the report."""
+"""Modules of jobs, except libraries that only a single job of a run uses, such as matplotlib."""
 
 _IGNORED = (signal.SIGINT, signal.SIGTERM)
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import io
 import re
 from base64 import b64encode
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -223,20 +224,36 @@ def _written(folder: Path, block: Block) -> dict[str, Any]:
 
 
 def _png(figure: Figure) -> bytes:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
     buffer = io.BytesIO()
-    figure.savefig(buffer, format="png", dpi=_PIXEL_RATIO * figure.dpi, metadata={"Software": None})
+    with _resolution(figure, _PIXEL_RATIO * figure.dpi):
+        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 
 def pdf_of(figure: Figure) -> bytes:
     """Return a figure as PDF: lines and text as vectors, pictures as pixels."""
     from matplotlib import rc_context
+    from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
     buffer = io.BytesIO()
     metadata: Any = {"Creator": None, "Producer": None, "CreationDate": None}
-    with rc_context({"pdf.fonttype": 42}):  # TrueType fonts: accepted by publishers, searchable
-        figure.savefig(buffer, format="pdf", dpi=_PRINT_DPI, metadata=metadata)
+    fonts = {"pdf.fonttype": 42}  # TrueType fonts: accepted by publishers, searchable
+    with rc_context(fonts), _resolution(figure, _PRINT_DPI):
+        FigureCanvasPdf(figure).print_pdf(buffer, metadata=metadata)
     return buffer.getvalue()
+
+
+@contextmanager
+def _resolution(figure: Figure, dpi: float) -> Iterator[None]:
+    """Draw a figure at another resolution; `Figure.savefig` would draw it twice."""
+    before = figure.dpi
+    figure.dpi = dpi
+    try:
+        yield
+    finally:
+        figure.dpi = before
 
 
 _LATEX = {
