@@ -125,6 +125,19 @@ def test_workers_stop_at_the_first_error_in_order(tmp_path: Path) -> None:
     assert len(begun) < 10
 
 
+@pytest.mark.parametrize("threads", [1, 2])
+def test_matrix_products_take_the_threads_of_the_resources(threads: int) -> None:
+    from threadpoolctl import threadpool_info
+
+    def blas_threads() -> list[int]:
+        return [pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"]
+
+    before = blas_threads()
+    with Resources(threads=threads).blas_threads():
+        assert set(blas_threads()) == {threads}
+    assert blas_threads() == before
+
+
 def test_resources_use_fewer_threads_where_memory_is_short(tmp_path: Path) -> None:
     few = Resources(memory_gib=1.0, threads=4)
     assert few.fitting_count(few.data_bytes // 3, 16) == 3

@@ -87,6 +87,18 @@ class Resources:
         return max(1, min(limit, self.data_bytes // max(1, bytes_per_item)))
 
     @contextmanager
+    def blas_threads(self) -> Iterator[None]:
+        """Limit the threads of matrix products to `threads`.
+
+        BLAS takes one thread for each core by default. Its threads wait actively for each other, so
+        that small products take several times as long where other programs are running.
+        """
+        from threadpoolctl import threadpool_limits
+
+        with threadpool_limits(self.threads, user_api="blas"):
+            yield
+
+    @contextmanager
     def workers(self, bytes_per_piece: int, folder: Path) -> Iterator[Workers]:
         """Provide workers for pieces of work.
 

@@ -59,7 +59,7 @@ def acquire_levels(acquisition: Acquisition) -> Iterator[Acquisition]:
 
 def _timed(acquisition: Acquisition, stage: str, level: int) -> Any:
     """Run a stage of a level and record its time; return the state that `refine` returns."""
-    with acquisition.storage.timing(level, stage):
+    with acquisition.storage.timing(level, stage), acquisition.resources.blas_threads():
         return LEVEL_STAGES[stage](acquisition, level)
 
 

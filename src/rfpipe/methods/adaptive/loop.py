@@ -20,7 +20,6 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -165,11 +164,13 @@ class AdaptiveMethod(Method[AdaptiveState]):
             after = replace(after, held_out=_read(state, images, 0, shown.held_out))
         if shown.count and shown.phase is Phase.MODEL:
             pictures = _read(state, images, shown.held_out, images.schedule.count)
-            after = self._fit_model(after.with_pictures(pictures))
+            after, best = self._fit_model(after.with_pictures(pictures))
         elif shown.count:
             cell_pictures = _camera_cells(state).read(images, shown.held_out)
-            after = self._fit_residual(after.with_cell_pictures(cell_pictures))
-        after = self._with_best_model(after, state)
+            after, best = self._fit_residual(after.with_cell_pictures(cell_pictures))
+        else:
+            best = self._best(after)
+        after = _with_estimate_of(after, state, best)
         is_last = shown.index + 1 == len(self.rounds(state.projector)[shown.phase])
         decision = end(after) or self.decide(after, shown.phase, is_last)
         return self._continue(after, decision)
@@ -202,28 +203,27 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Return the floodlit picture as the model uses it; here unchanged."""
         return picture
 
-    def _fit_model(self, state: AdaptiveState) -> AdaptiveState:
+    def _fit_model(self, state: AdaptiveState) -> tuple[AdaptiveState, Candidate]:
         """Fit the model to all pictures, and its residual where that may help."""
         shown, model = state.next_round, self._model(state).fit(_pictures(state))
         state = replace(state.with_row(**model.counts), model=model, residual=None)
         assert shown is not None
+        base = self._best_without_residual(state)
         if self.residual_is_optional and not shown.index:
-            return state
-        base = self._best(state)
+            return state, base
         if state.with_estimate(base.estimate).meets_target:
-            return state
+            return state, base
         after = self._with_residual_of(state, base)
-        if not self.residual_is_optional:
-            return after
-        helps = self._best(after).estimate.error < _RESIDUAL_GAIN * base.estimate.error
-        return after if helps else state
+        best = self._best(after, base)
+        is_useful = best.estimate.error < _RESIDUAL_GAIN * base.estimate.error
+        return (after, best) if is_useful or not self.residual_is_optional else (state, base)
 
-    def _fit_residual(self, state: AdaptiveState) -> AdaptiveState:
+    def _fit_residual(self, state: AdaptiveState) -> tuple[AdaptiveState, Candidate]:
         """Fit the residual of the better of model and hierarchy, unless it meets the target."""
-        base = self._best(replace(state, residual=None))
-        if state.with_estimate(base.estimate).meets_target:
-            return state
-        return self._with_residual_of(state, base)
+        base = self._best_without_residual(state)
+        if not state.with_estimate(base.estimate).meets_target:
+            state = self._with_residual_of(state, base)
+        return state, self._best(state, base)
 
     def _with_residual_of(self, state: AdaptiveState, base: Candidate) -> AdaptiveState:
         """Fit the residual of a transport to the pictures of all rounds."""
@@ -274,9 +274,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
         after = replace(state, rows=tuple(rows), hierarchy_state=inner, hierarchy_levels=levels)
         after = after.with_cell_pictures(_camera_cells(state).read(images))
         is_complete = not len(inner.frontier)
-        if is_complete:
-            after = self._fit_residual(after)
-        after = after.with_estimate(self._best(after).estimate)
+        after, best = self._fit_residual(after) if is_complete else (after, self._best(after))
+        after = after.with_estimate(best.estimate)
         phase = Phase.HIERARCHY_RESIDUAL if is_complete else Phase.HIERARCHY
         return self._continue(after, end(after) or Decision(phase))
 
@@ -290,46 +289,41 @@ class AdaptiveMethod(Method[AdaptiveState]):
         lit = np.ones((1, state.projector.size), np.bool_)
         return self.first_model(state, Pictures(lit, dark, dark))
 
-    def _transports(self, state: AdaptiveState) -> Iterator[tuple[Transport, bool]]:
-        """Yield all transports that may be returned, and whether each is the hierarchy's."""
-        model, rows, residual = self._model(state), list(state.rows), []
-        if state.residual is not None:
-            residual = [state.residual.transport(_camera_cells(state), state.projector.shape)]
-        yield model.transport(rows), False
-        if residual and not state.residual_of_hierarchy:
-            yield model.transport(rows, residual), False
+    def _best(self, state: AdaptiveState, base: Candidate | None = None) -> Candidate:
+        """Return the transport that predicts the held-out pictures best.
+
+        `base` is the best one without the residual, if it is known already.
+        """
+        base = self._best_without_residual(state) if base is None else base
+        if state.residual is None:
+            return base
+        rows, hierarchy = list(state.rows), None
+        residual = state.residual.transport(_camera_cells(state), state.projector.shape)
+        if state.residual_of_hierarchy:
+            hierarchy = self._hierarchy(state).transport(state.hierarchy_state)
+        transport = self._model(state).transport(rows, [residual], hierarchy)
+        return min(base, self._candidate(state, transport, hierarchy is not None), key=_error)
+
+    def _best_without_residual(self, state: AdaptiveState) -> Candidate:
+        """Return the better of the model and the hierarchy, each without a residual."""
+        rows = list(state.rows)
+        model = self._candidate(state, self._model(state).transport(rows), is_hierarchy=False)
         if state.hierarchy_state is None:
-            return
+            return model
         hierarchy = self._hierarchy(state).transport(state.hierarchy_state)
-        yield SumTransport([hierarchy], rows), True
-        if residual and state.residual_of_hierarchy:
-            yield model.transport(rows, residual, hierarchy), True
+        transport = SumTransport([hierarchy], rows)
+        return min(model, self._candidate(state, transport, is_hierarchy=True), key=_error)
 
-    def _best(self, state: AdaptiveState) -> Candidate:
-        """Return the transport that predicts the held-out pictures best."""
+    def _candidate(
+        self, state: AdaptiveState, transport: Transport, is_hierarchy: bool
+    ) -> Candidate:
+        """Estimate the error of a transport; it is 1 before the held-out pictures are taken."""
         if state.held_out is None:
-            return Candidate(Estimate(1.0, 1.0, 1.0), *next(self._transports(state)))
-        held_out, floodlit = state.held_out, _pictures(state).floodlit
-        dark = self._model(state).dark_pixels(held_out.lit)
-        candidates = [
-            Candidate(estimate_error(transport, held_out, floodlit, dark), transport, is_hierarchy)
-            for transport, is_hierarchy in self._transports(state)
-        ]
-        return min(candidates, key=lambda candidate: candidate.estimate.error)
-
-    def _with_best_model(self, state: AdaptiveState, previous: AdaptiveState) -> AdaptiveState:
-        """Estimate the error; keep the models before the round if they are better."""
-        estimate = self._best(state).estimate
-        if previous.estimates and estimate.error > previous.estimates[-1].error:
-            _log.info("the fit to more pictures has a larger error; keeping the previous one")
-            state = replace(
-                state,
-                model=previous.model,
-                residual=previous.residual,
-                residual_of_hierarchy=previous.residual_of_hierarchy,
-            )
-            estimate = previous.estimates[-1]
-        return state.with_estimate(estimate)
+            return Candidate(Estimate(1.0, 1.0, 1.0), transport, is_hierarchy)
+        dark = self._model(state).dark_pixels(state.held_out.lit)
+        floodlit = _pictures(state).floodlit
+        estimate = estimate_error(transport, state.held_out, floodlit, dark)
+        return Candidate(estimate, transport, is_hierarchy)
 
     # --- the next round
 
@@ -415,6 +409,26 @@ def hierarchy_rounds(projector: RayDomain) -> Rounds:
     """Return the rounds of a hierarchy below its floodlit level, and of its residual."""
     levels = BlockTree(projector).n_levels - 1
     return {Phase.HIERARCHY: (0,) * levels, Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS}
+
+
+def _error(candidate: Candidate) -> float:
+    return candidate.estimate.error
+
+
+def _with_estimate_of(
+    state: AdaptiveState, previous: AdaptiveState, best: Candidate
+) -> AdaptiveState:
+    """Add the best estimate; keep the models before the round if they are better."""
+    if not previous.estimates or best.estimate.error <= previous.estimates[-1].error:
+        return state.with_estimate(best.estimate)
+    _log.info("the fit to more pictures has a larger error; keeping the previous one")
+    state = replace(
+        state,
+        model=previous.model,
+        residual=previous.residual,
+        residual_of_hierarchy=previous.residual_of_hierarchy,
+    )
+    return state.with_estimate(previous.estimates[-1])
 
 
 def _read(state: AdaptiveState, images: LevelImages, first: int, last: int) -> Pictures:
