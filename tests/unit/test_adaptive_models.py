@@ -40,7 +40,8 @@ def fitted(method: AdaptiveMethod) -> AdaptiveModel:
     model = first_model(method)
     count = method.rounds(RAYS)["model"][0]
     patterns = model.next_patterns(1, count)
-    return model.fit(pictures_of(np.concatenate([np.ones((1, *SHAPE), np.bool_), patterns])))
+    pictures = pictures_of(np.concatenate([np.ones((1, *SHAPE), np.bool_), patterns]))
+    return model.fit([model.prepared(pictures)])
 
 
 @METHODS

@@ -45,7 +45,7 @@ def after_model_rounds(
         state,
         rows=tuple(level_row(level, count) for level, count in enumerate(counts)),
         estimates=tuple(Estimate(error, error, error) for error in errors),
-        pictures=floodlit,
+        floodlit=floodlit,
         held_out=floodlit,
         model=method.first_model(state, floodlit),
     )

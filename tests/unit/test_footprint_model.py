@@ -11,7 +11,7 @@ from rfpipe.methods.footprints.charts import Chart
 from rfpipe.methods.footprints.functions import IndirectBasis, camera_to_projector
 from rfpipe.methods.footprints.indirect import IndirectLight, core_operator
 from rfpipe.methods.footprints.kernels import BoxGrid, CandidateRows, marginal_factors, match_near
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.pictures import ViewArrays
 from rfpipe.methods.footprints.reciprocity import symmetrized, with_transposed
 from rfpipe.methods.footprints.weights import marginal_precision
 from rfpipe.transport.multiscale import cells, coarsest_scale, functions_over
@@ -28,12 +28,12 @@ def random_candidates(camera_size: int, projector_size: int, seed: int = 0) -> C
     return Candidates(camera_size, projector_size, keys, variance, weights)
 
 
-def random_pictures(camera_size: int, projector_size: int, count: int) -> ViewPictures:
+def random_pictures(camera_size: int, projector_size: int, count: int) -> ViewArrays:
     random = np.random.default_rng(1)
     patterns = (random.random((projector_size, count)) < 0.5).astype(np.float32)
     patterns[:, 0] = 1
     radiance = random.uniform(0.5, 2, (camera_size, count)).astype(np.float32)
-    return ViewPictures(patterns, radiance, np.full_like(radiance, 1e-3))
+    return ViewArrays(patterns, radiance, np.full_like(radiance, 1e-3))
 
 
 def test_candidates_of_views_are_joined_and_split() -> None:

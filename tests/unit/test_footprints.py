@@ -23,7 +23,7 @@ from rfpipe.methods.footprints.kernels import (
 )
 from rfpipe.methods.footprints.matching import box_templates
 from rfpipe.methods.footprints.method import ROUNDS, Footprints
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.pictures import ViewArrays
 from rfpipe.methods.footprints.weights import fit_weights
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
@@ -121,7 +121,7 @@ def test_neighbours_decide_between_two_positions_with_equal_patterns() -> None:
     side, place, equal_place = RayDomain((12, 12)), 5 * 12 + 5, 9 * 12 + 1
     patterns = (np.random.default_rng(0).random((side.size, 25)) < 0.5).astype(np.float32)
     patterns[:, 0], patterns[equal_place] = 1, patterns[place]
-    pictures = ViewPictures(patterns, patterns.copy(), np.full_like(patterns, 1e-6))
+    pictures = ViewArrays(patterns, patterns.copy(), np.full_like(patterns, 1e-6))
     places = np.arange(side.size)
     places[place] = equal_place
     ones, dark = np.ones(side.size, np.float32), np.zeros_like(patterns)

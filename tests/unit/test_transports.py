@@ -17,7 +17,12 @@ from rfpipe.transport.dense import DenseTransport
 from rfpipe.transport.footprints import FootprintTransport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel import MultilevelTransport
-from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, functions_over
+from rfpipe.transport.multiscale import (
+    MultiscaleBasis,
+    MultiscaleTransport,
+    cells,
+    functions_over,
+)
 from rfpipe.transport.responses import Responses
 from rfpipe.transport.sum import SumTransport
 from rfpipe.transport.wavelet import Cells, WaveletTransport
@@ -91,31 +96,34 @@ def footprints() -> Made:
     return transport, matrices["footprints"] + smooth
 
 
-def multiscale(shape: tuple[int, ...] = COAXIAL) -> Made:
-    covered = np.ones((1, 2, 2), np.bool_)
-    basis = MultiscaleBasis(
-        shape, np.concatenate([functions_over(4, covered), functions_over(2, covered)])
-    )
+def multiscale(shape: tuple[int, ...] = COAXIAL, side: int = 1) -> Made:
+    grid = Cells(shape, side)
+    functions = [functions_over(s, np.ones(cells(grid.grid_shape, s), np.bool_)) for s in (4, 2)]
+    basis = MultiscaleBasis(grid.grid_shape, np.concatenate(functions))
     first, second = pairs = np.stack(basis.pairs)[:, ::2]
     arrays = {"factor": draw(3, 42), "functions": basis.functions, "pairs": pairs}
-    arrays["cores"] = draw(3, len(first))
+    arrays |= {"side": np.array([side], np.int32), "cores": draw(3, len(first))}
     cores = np.zeros((3, len(basis), len(basis)))
     cores[:, first, second] = cores[:, second, first] = arrays["cores"]
-    weighted = arrays["factor"][:, :, None] * basis.weights.toarray()
+    weighted = arrays["factor"][:, :, None] * basis.weights.toarray()[grid.of_ray]
     transport = MultiscaleTransport(shape, shape, 3, ROWS, arrays)
     return transport, weighted @ cores @ weighted.swapaxes(1, 2)
 
 
+def multiscale_over_cells() -> Made:
+    return multiscale(side=2)
+
+
 def wavelets() -> Made:
-    cells = Cells(COAXIAL, 2)
-    pairs = np.sort(np.random.default_rng(3).integers(0, cells.haar.size, (2, 60)), axis=0)
+    grid = Cells(COAXIAL, 2)
+    pairs = np.sort(np.random.default_rng(3).integers(0, grid.haar.size, (2, 60)), axis=0)
     pairs = np.unique(pairs, axis=1).astype(np.int32)
     arrays = {"side": np.array([2], np.int32), "factor": draw(3, 42), "pairs": pairs}
     arrays["cores"] = draw(3, pairs.shape[1])
-    cores = np.zeros((3, cells.haar.size, cells.haar.size))
+    cores = np.zeros((3, grid.haar.size, grid.haar.size))
     cores[:, pairs[0], pairs[1]] = cores[:, pairs[1], pairs[0]] = arrays["cores"]
-    wavelets = cells.haar.inverse(np.eye(cells.haar.size, dtype=np.float32))
-    weighted = arrays["factor"][:, :, None] * wavelets[cells.of_ray]
+    wavelets = grid.haar.inverse(np.eye(grid.haar.size, dtype=np.float32))
+    weighted = arrays["factor"][:, :, None] * wavelets[grid.of_ray]
     return WaveletTransport(
         COAXIAL, COAXIAL, 3, ROWS, arrays
     ), weighted @ cores @ weighted.swapaxes(1, 2)
@@ -127,7 +135,8 @@ def total() -> Made:
     return SumTransport([inner, parts[2][0]], ROWS), sum(matrix for _, matrix in parts)
 
 
-KINDS = [scan, leaves, pairs, terms, diagonal, footprints, multiscale, wavelets, total]
+KINDS = [scan, leaves, pairs, terms, diagonal, footprints, multiscale]
+KINDS += [multiscale_over_cells, wavelets, total]
 EACH = pytest.mark.parametrize("make", KINDS, ids=lambda make: make.__name__)
 
 

@@ -19,7 +19,7 @@ from rfpipe.fitting.series import Series
 from rfpipe.fitting.surfaces import expected_boxes, smoothed, surfaces_of
 from rfpipe.methods.footprints.fit import FitLimits, fit_model
 from rfpipe.methods.footprints.model import ChannelModel, transport_arrays
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.pictures import ViewArrays
 from rfpipe.transport.footprints import FootprintTransport
 
 # On real Gray code (camera of 120 x 160, 30 pictures), 1.4 million unknowns in the fits of indirect
@@ -64,10 +64,10 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
     light = float(np.abs(radiance[0].sum(axis=0)).mean())
     unit = float(2.0 ** np.round(np.log2(light))) if light > 0 else 1.0
 
-    def pictures_of(chosen: slice) -> tuple[ViewPictures]:
+    def pictures_of(chosen: slice) -> tuple[ViewArrays]:
         observed = radiance[:, chosen].sum(axis=1) / unit
         spread = np.where(series.known, variance[:, chosen].sum(axis=1) / unit**2, np.inf)
-        return (ViewPictures(lit, _by_pixel(observed), _by_pixel(spread)),)
+        return (ViewArrays(lit, _by_pixel(observed), _by_pixel(spread)),)
 
     count = series.channels
     channels = [pictures_of(slice(index, index + 1)) for index in range(count)] if count > 1 else []
@@ -75,7 +75,7 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
     model = fit_model(camera, projector, grey, channels, limits=_LIMITS)
     pictures = [view for (view,) in channels or [grey]]
     indirect = [
-        channel.indirect.in_pictures([view])[0]
+        next(channel.indirect.in_pictures([view]))
         for channel, view in zip(model.channels, pictures, strict=True)
     ]
     brightest = int(np.argmax([view.floodlit.sum() for view in pictures]))

@@ -10,6 +10,7 @@ from rfpipe.fitting.series import Series
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import near_far_transport
+from rfpipe.methods.near_far.pictures import SplitPictures, fit_cells
 from rfpipe.methods.residual.fit import fit_residual
 from rfpipe.methods.residual.model import CameraCells, coaxial_projector
 from rfpipe.methods.states import joined
@@ -51,10 +52,13 @@ def solve_near_far(series: Series, rows: list[dict[str, Any]]) -> Transport:
         shape
     )
     probes = Pictures(lit[~white], series.radiance[~white], series.variance[~white])
-    pictures = joined([floodlit, probes], axis=0)
-    model = fit_smooth_model(shape, pictures)
-    camera = CameraCells.of_pictures(shape, pictures)
-    samples = camera.cell_pictures(pictures.lit, pictures.radiance, pictures.variance)
-    smooth = near_far_transport(shape, [], model, pictures)
+    cells = fit_cells(shape)
+    model = fit_smooth_model(cells, floodlit, SplitPictures.of(cells, floodlit, probes))
+    camera = CameraCells.of_pictures(shape, floodlit)
+    samples = joined(
+        [camera.cell_pictures(it.lit, it.radiance, it.variance) for it in (floodlit, probes)],
+        axis=0,
+    )
+    smooth = near_far_transport(shape, [], model, floodlit)
     residual = fit_residual(camera, coaxial_projector(camera), samples, smooth)
-    return near_far_transport(shape, rows, model, pictures, [residual.transport(camera, shape)])
+    return near_far_transport(shape, rows, model, floodlit, [residual.transport(camera, shape)])

@@ -48,12 +48,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from rfpipe.array_types import Bools, Double, Float
+from rfpipe.array_types import Bools, Double, Float, Index
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.images import Pictures, relight_white
+from rfpipe.methods.images import Pictures, batches, relight_white
 from rfpipe.provenance import generator
 from rfpipe.relighting import (
     KINDS,
@@ -276,15 +277,18 @@ def _noise_variance(held_out: Pictures) -> Double:
     variances of a calibrated camera.
     """
     known = held_out.measured
-    stated = np.where(known, held_out.variance, 0).astype(np.float64)
-    first, second = held_out.radiance[:2][..., known].astype(np.float64)
-    variance = stated[:2].sum(axis=0)
-    expected, measured = float(variance.sum()), float(np.square(first - second).sum())
+    stated = np.zeros(held_out.radiance.shape[::2])
+    for total, image in zip(stated, held_out.variance, strict=True):
+        total[known] = image[:, known].sum(axis=0, dtype=np.float64)
+    first, second = held_out.radiance[:2][..., known]
+    variance = held_out.variance[:2][..., known].sum(axis=0, dtype=np.float64)
+    expected = float(variance.sum())
+    measured = float(np.square(np.subtract(first, second, dtype=np.float64)).sum())
     # the square of normal noise of the variance v has the variance 2 v^2
     deviation = float(np.sqrt(2 * np.square(variance).sum()))
     contradicts = abs(measured - expected) > _NOISE_SIGNIFICANCE * deviation
-    scale = measured / expected if contradicts and expected > 0 else 1.0
-    return np.asarray(scale * stated.sum(axis=1))
+    stated *= measured / expected if contradicts and expected > 0 else 1.0
+    return stated
 
 
 def _compare(
@@ -297,27 +301,72 @@ def _compare(
     """
     known = picture.known
     noise, dark = picture.noise[known], picture.dark[known]
-    measured = picture.radiance[:, known].astype(np.float64)
-    predicted = relight_white(transport, parts)[..., known]
-    total = predicted.sum(axis=0, dtype=np.float64)
-    squared_error = np.square(total - measured).sum(axis=0) - noise
-    shares, brightest_part = parts.mean(axis=1), predicted.sum(axis=1).argmax(axis=0)
-    region = (brightest_part[:, None] == np.arange(len(parts))).astype(np.float64)
-    weights = np.where(dark[:, None], shares / shares.sum(), region)
-    views = RayDomain(transport.projector_shape).views
+    measured = picture.radiance[:, known]
+    predicted = _predicted(transport, parts, known, dark)
+    squared_error, unpredicted = -noise, -noise
+    for total, light in zip(predicted.total, measured, strict=True):
+        squared_error += np.square(total - light)
+        unpredicted += np.square(light, dtype=np.float64) - np.square(total)
+    shares, views = parts.mean(axis=1), RayDomain(transport.projector_shape).views
+    shares_of_dark = shares / shares.sum()
+
+    def by_part(values: Double) -> Double:
+        """Sum up values of pixels for each part."""
+        direct = np.where(dark, 0, values)
+        counted = np.bincount(predicted.brightest, direct, len(parts))
+        return np.asarray(counted + values[dark].sum() * shares_of_dark)
+
     ratio = _parts_over_pattern(
         parts.reshape(len(parts), views, -1), floodlit_squared_error, float(squared_error.sum())
     )
-    light = np.square(predicted, dtype=np.float64).sum(axis=1)
-    unpredicted = (np.square(measured) - np.square(total)).sum(axis=0) - noise
     return _Comparison(
-        part_squared_error=ratio * (squared_error @ weights),
-        part_deviation=ratio * np.sqrt(2 * np.square(noise) @ weights),
-        part_light=light.sum(axis=1) + unpredicted @ region,
+        part_squared_error=ratio * by_part(squared_error),
+        part_deviation=ratio * np.sqrt(2 * by_part(np.square(noise))),
+        part_light=predicted.light + np.bincount(predicted.brightest, unpredicted, len(parts)),
         dark_squared_error=ratio * squared_error[dark].sum() / len(parts),
         dark_deviation=ratio * float(np.sqrt(2 * np.square(noise[dark]).sum())) / len(parts),
-        dark_light=light[:, dark].sum() / len(parts),
+        dark_light=predicted.dark_light / len(parts),
     )
+
+
+class _Predicted(NamedTuple):
+    """Relit pictures of the parts of a pattern, on m known pixels.
+
+    Attributes
+    ----------
+    total : ndarray of float64, shape (C, m)
+        Sum of the pictures.
+    brightest : ndarray of int64, shape (m,)
+        Number of the part that lights each pixel most.
+    light : ndarray of float64, shape (parts,)
+        Squared norm of each picture.
+    dark_light : float
+        Squared norm of all pictures on the pixels without direct light.
+    """
+
+    total: Double
+    brightest: Index
+    light: Double
+    dark_light: float
+
+
+def _predicted(transport: Transport, parts: Bools, known: Bools, dark: Bools) -> _Predicted:
+    """Relight the parts (parts, N) of a pattern, a few at a time."""
+    pixels = int(np.count_nonzero(known))
+    total = np.zeros((transport.channels, pixels))
+    brightest, most = np.zeros(pixels, np.int64), np.full(pixels, -np.inf, np.float32)
+    light, dark_light = np.zeros(len(parts)), 0.0
+    for first, last in batches(len(parts), transport.channels * max(known.size, parts.shape[1])):
+        pictures = relight_white(transport, parts[first:last])
+        for part, picture in enumerate(pictures[..., known], first):
+            total += picture
+            brightness = picture.sum(axis=0)
+            brightest[brightness > most] = part
+            np.maximum(most, brightness, out=most)
+            squares = np.square(picture, dtype=np.float64).sum(axis=0)
+            light[part] = squares.sum()
+            dark_light += float(squares[dark].sum())
+    return _Predicted(total, brightest, light, dark_light)
 
 
 def _parts_over_pattern(parts: Bools, floodlit_squared_error: float, squared_error: float) -> float:

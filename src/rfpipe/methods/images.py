@@ -128,6 +128,16 @@ class Pictures:
             radiance[part], variance[part] = (np.moveaxis(image, 0, 1) for image in planar)
         return cls(lit.reshape(len(lit), -1), radiance, variance)
 
+    @classmethod
+    def batches(
+        cls, images: LevelImages, channels: int, pixels: int, first: int
+    ) -> Iterator[Pictures]:
+        """Read the images of a level from index `first` on, a few at a time."""
+        for part, *planar in planar_batches(images, channels, pixels, first):
+            lit = images.schedule.batch(first + part.start, first + part.stop) > 0
+            radiance, variance = (np.moveaxis(image, 0, 1) for image in planar)
+            yield cls(lit.reshape(len(lit), -1), radiance, variance)
+
     def select(self, pictures: slice | NDArray[np.bool_]) -> Pictures:
         """Select pictures."""
         return Pictures(self.lit[pictures], self.radiance[pictures], self.variance[pictures])

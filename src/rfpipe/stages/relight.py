@@ -33,8 +33,8 @@ NO_LEAF = -1
 """Level of an entry of T that is in no leaf, because it was measured as empty."""
 
 
-_SINGLE_BATCH = 32
-"""Number of single-pixel patterns relit together."""
+_SINGLE_BATCH, _SINGLE_PIXELS = 32, 2**24
+"""Number of single-pixel patterns relit together, and the largest number of their pixels."""
 
 _PICTURES, _MAX_PIXELS = 96, 2e7
 """Number of pictures of the mean error; fewer, if these have more than that many pixels."""
@@ -204,8 +204,9 @@ def _entries(
     `light` maps patterns (P, *shape) to images (P, H, W, C).
     """
     columns = []
-    for first in range(0, shape[-1], _SINGLE_BATCH):
-        count = min(_SINGLE_BATCH, shape[-1] - first)
+    batch = max(1, min(_SINGLE_BATCH, _SINGLE_PIXELS // int(np.prod(shape))))
+    for first in range(0, shape[-1], batch):
+        count = min(batch, shape[-1] - first)
         patterns = np.zeros((count, *shape), np.float32)
         patterns[range(count), projector_row, range(first, first + count)] = 1
         columns.append(light(patterns)[:, camera_row])

@@ -77,6 +77,8 @@ class LowRankTransport(ArrayTransport):
 
     def _apply(self, light: Float, channel: int, inner: Float, outer: Float) -> Any:
         """Return ``(d + sum_r s_r outer_r inner_r^T) light``."""
+        if not self.rank and "diagonal" in self._content:
+            return light * self._content["diagonal"][channel]
         # terms cancel: sums over many rays are in float64
         shares = light.astype(np.float64) @ inner[channel].T.astype(np.float64)
         plane = (shares * self._content["strengths"][channel]) @ outer[channel].astype(np.float64)

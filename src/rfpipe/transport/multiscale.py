@@ -6,6 +6,9 @@ functions. Two functions are a pair if the rows of their centres, and the column
 `REACH` spacings of the coarser one, since light between distant places varies slowly. A function of
 the coarsest scale is paired with all functions of its view, and with functions of the coarsest
 scale in other views. `rfpipe.transport.function_pairs` has the table of symbols.
+
+Of large images the functions are constant over square cells of several rays: they are functions
+over the grid of the cells, whose unit of length is a cell.
 """
 
 from __future__ import annotations
@@ -19,6 +22,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Float, FunctionTable, Numbers
 from rfpipe.blocks import RayDomain
 from rfpipe.transport.function_pairs import FunctionPairTransport
+from rfpipe.transport.wavelet import Cells
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -236,28 +240,33 @@ class MultiscaleTransport(FunctionPairTransport):
     camera_shape, projector_shape, channels, level_rows, nbytes
         See `rfpipe.transport.Transport`; both shapes are equal.
     content : mapping of str to ndarray
-        ``factor``, float32 (channels, N): F, radiance of the floodlit image. ``functions``, int32
-        (n, 4): table of B, see `MultiscaleBasis`. ``pairs``, int32 (2, pairs): numbers of the
-        functions of each pair. ``cores``, float32 (channels, pairs): S, one value for each pair, in
-        inverse radiance. Arrays may be read lazily. They are stored without rounding, since cores
-        cancel.
+        ``side``, int32 (1,): side of the cells in rays. ``factor``, float32 (channels, N): F,
+        radiance of the floodlit image. ``functions``, int32 (n, 4): table of B over the grid of
+        cells, see `MultiscaleBasis`. ``pairs``, int32 (2, pairs): numbers of the functions of each
+        pair. ``cores``, float32 (channels, pairs): S, one value for each pair, in inverse radiance.
+        Arrays may be read lazily. They are stored without rounding, since cores cancel.
     """
 
     kind = "multiscale"
 
     @cached_property
+    def cells(self) -> Cells:
+        """Cells over which the functions are constant."""
+        return Cells(self.camera_shape, int(self._content["side"][0]))
+
+    @cached_property
     def basis(self) -> MultiscaleBasis:
-        """The functions."""
-        return MultiscaleBasis(self.camera_shape, self._content["functions"])
+        """The functions over the grid of cells."""
+        return MultiscaleBasis(self.cells.grid_shape, self._content["functions"])
 
     def _forward(self, light: Float, channel: int) -> Any:
         cores, factor = self._content["cores"][channel], self._content["factor"][channel]
-        first, second = self._content["pairs"]
-        return relight_smooth(self.basis, (first, second), cores, factor, light)
+        pairs = self._content["pairs"]
+        return relight_smooth(self.cells, self.basis, (pairs[0], pairs[1]), cores, factor, light)
 
     def functions(self) -> csr_array[np.float32]:
         """Return B."""
-        return self.basis.weights
+        return self.basis.weights[self.cells.of_ray]
 
     def between(
         self, received: csr_array[np.float32], sent: csr_array[np.float32], channel: int
@@ -268,8 +277,9 @@ class MultiscaleTransport(FunctionPairTransport):
         from rfpipe.transport.pair_kernels import couple
 
         # without images, since there are far fewer functions than rays
-        scaled = self.basis.sums @ diags_array(self._content["factor"][channel])
-        light, weights = (scaled @ sent).tocsc(), (received.T @ scaled.T).tocsr()
+        scaled = self.cells.sums @ diags_array(self._content["factor"][channel])
+        light = (self.basis.sums @ (scaled @ sent)).tocsc()
+        weights = ((received.T @ scaled.T) @ self.basis.weights).tocsr()
         matrix = np.empty((received.shape[1], sent.shape[1]), np.float32)
         first, second = self._content["pairs"]
         for start in range(0, sent.shape[1], _COLUMNS_PER_BATCH):
@@ -282,6 +292,7 @@ class MultiscaleTransport(FunctionPairTransport):
 
 
 def relight_smooth(
+    cells: Cells,
     basis: MultiscaleBasis,
     pairs: tuple[Numbers, Numbers],
     cores: Float,
@@ -292,8 +303,9 @@ def relight_smooth(
 
     Parameters
     ----------
+    cells : Cells
     basis : MultiscaleBasis
-        B.
+        B, over the grid of the cells.
     pairs : tuple of ndarray of int32, shape (pairs,)
         Numbers of each pair's two functions.
     cores : ndarray of float32, shape (pairs,)
@@ -306,10 +318,19 @@ def relight_smooth(
     -------
     ndarray of float32, shape (P, N)
     """
+    received = exchanged(basis, pairs, cores, basis.sums @ cells.total(patterns * factor))
+    images: Float = cells.spread(basis.weights @ received)
+    images *= factor
+    return images
+
+
+def exchanged(
+    basis: MultiscaleBasis, pairs: tuple[Numbers, Numbers], cores: Float, light: Any
+) -> Float:
+    """Compute ``S light`` for the light (n, P) on each function."""
     from rfpipe.transport.pair_kernels import couple
 
-    light = np.ascontiguousarray(basis.sums @ (patterns * factor).T)
-    received = np.zeros_like(light)
+    light = np.ascontiguousarray(light)
+    received = np.zeros((len(basis), light.shape[1]), np.float32)
     couple(*pairs, cores, light, received)
-    images: Float = (basis.weights @ received).T * factor
-    return images
+    return received

@@ -6,6 +6,7 @@ A transport, its dual and selections of their rays share this interface.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from math import prod
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.array_types import Bools, Float
 from rfpipe.errors import InputError, installing
+from rfpipe.ranges import ranges
 from rfpipe.transport.algebra import MatrixAlgebra, RaySelection, selected_rays
 from rfpipe.weights import as_weights
 
@@ -26,6 +28,9 @@ if TYPE_CHECKING:
     from rfpipe.transport.light_interpolation import LightInterpolation
     from rfpipe.transport.normals import Normals
     from rfpipe.transport.separation import Separation
+
+_BATCH_BYTES = 128 * 2**20
+"""Memory of the images that are relit at a time, or of their patterns."""
 
 LIMIT = 8 * 2**30
 """Default limit of the bytes of a matrix in a file, before compression."""
@@ -96,9 +101,13 @@ class Relightable(MatrixAlgebra):
     def relight_batch(self, patterns: NDArray[Any]) -> Float:
         """Relight with several patterns ``(P, *projector_shape[, channels])`` at once."""
         planar = planar_patterns(patterns, self.projector_shape, self.channels)
-        images = self.forward(planar, range(self.channels))
-        shape = (len(images), *self.camera_shape, self.channels)
-        return np.moveaxis(images, 1, -1).reshape(shape)
+        rays = prod(self.camera_shape)
+        images = np.empty((len(planar), rays, self.channels), np.float32)
+        largest = self.channels * max(rays, planar.shape[-1]) * images.itemsize
+        for first, last in ranges(len(planar), max(1, _BATCH_BYTES // largest)):
+            batch = self.forward(planar[first:last], range(self.channels))
+            images[first:last] = np.moveaxis(batch, 1, -1)
+        return images.reshape(len(planar), *self.camera_shape, self.channels)
 
     def correspondence(self) -> Correspondence:
         """Locate the projector pixel that lights each camera pixel directly.

@@ -173,13 +173,27 @@ def cell_side(shape: tuple[int, ...], limit: int) -> int:
 
 
 class Cells:
-    """Cells of `side` by `side` pixels of a ray domain of N rays, smaller at an image's end."""
+    """Cells of `side` by `side` pixels of a ray domain of N rays, smaller at an image's end.
+
+    Attributes
+    ----------
+    stack : tuple of int
+        Views, rows and columns of cells.
+    grid_shape : tuple of int
+        The cells as a ray domain; without views if the rays have none.
+    count : int
+        Number of cells.
+    of_ray : ndarray of int64, shape (N,)
+        Number of each ray's cell.
+    sums : csr_array of float32, shape (cells, N)
+        1 where a ray is in a cell.
+    """
 
     def __init__(self, shape: tuple[int, ...], side: int) -> None:
         self.shape, self.side = tuple(shape), side
         self.stack, self.of_ray = RayDomain(self.shape).square_cells(side)
         self.count = math.prod(self.stack)
-        self._sums = cell_sums(self.shape, side)[1]
+        self.grid_shape, self.sums = cell_sums(self.shape, side)
 
     @cached_property
     def haar(self) -> Haar:
@@ -196,7 +210,7 @@ class Cells:
         """Sum P images (P, N) over cells, (cells, P)."""
         if self.side == 1:
             return np.ascontiguousarray(images.T, np.float32)
-        sums: Float = self._sums @ np.asarray(images.T, np.float32)
+        sums: Float = self.sums @ np.asarray(images.T, np.float32)
         return sums
 
     def spread(self, values: Float) -> Float:

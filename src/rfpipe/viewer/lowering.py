@@ -28,7 +28,7 @@ from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.multiscale import MultiscaleTransport
 from rfpipe.transport.sum import SumTransport
-from rfpipe.transport.wavelet import WaveletTransport
+from rfpipe.transport.wavelet import Cells, WaveletTransport
 from rfpipe.viewer.program import (
     CAMERA,
     PROJECTOR,
@@ -289,7 +289,7 @@ def _lower_low_rank(part: PartBuilder, transport: LowRankTransport) -> None:
 
 def _lower_multiscale(part: PartBuilder, transport: MultiscaleTransport) -> None:
     """Apply ``F B S B^T F``, where B is computed by a pyramid over its scales."""
-    arrays, basis = transport.pack()[0], transport.basis
+    arrays, basis, cells = transport.pack()[0], transport.basis, transport.cells
     rays = math.prod(transport.camera_shape)
     # near and far range use the same functions, so that each worker needs one pyramid
     digest = digest_of(arrays["functions"], arrays["factor"])
@@ -298,7 +298,12 @@ def _lower_multiscale(part: PartBuilder, transport: MultiscaleTransport) -> None
     source, target = (chain.buffer(name, len(basis)) for name in ("source", "target"))
     steps, placements = pyramid(basis)
     chain.add("scale", PROJECTOR, light, {"values": arrays["factor"]})
-    grids = [light]
+    cell_light, cell_sum = light, received
+    if cells.side > 1:
+        cell_light = chain.buffer("lit cells", cells.count)
+        cell_sum = chain.buffer("sums of cells", cells.count)
+        chain.csr(light, cell_light, _spread_over_cells(cells), transposed=True)
+    grids = [cell_light]
     for octave, step in enumerate(steps):
         grids.append(chain.buffer(f"grid {octave}", step.shape[1]))
         chain.csr(grids[-2], grids[-1], step, transposed=True)
@@ -311,7 +316,7 @@ def _lower_multiscale(part: PartBuilder, transport: MultiscaleTransport) -> None
         pairs = {"first": first[run], "second": second[run], "values": arrays["cores"][:, run]}
         chain.add("pairs", source, target, pairs, shared=True)
     sums = [
-        received,
+        cell_sum,
         *(chain.buffer(f"sum {octave}", step.shape[1]) for octave, step in enumerate(steps)),
     ]
     for octave, start, index in placements:
@@ -320,7 +325,18 @@ def _lower_multiscale(part: PartBuilder, transport: MultiscaleTransport) -> None
         )
     for octave in range(len(steps), 0, -1):
         chain.csr(sums[octave], sums[octave - 1], steps[octave - 1])
+    if cells.side > 1:
+        chain.csr(cell_sum, received, _spread_over_cells(cells))
     chain.add("scale", received, CAMERA, {"values": arrays["factor"]})
+
+
+def _spread_over_cells(cells: Cells) -> Any:
+    """Return the sparse matrix (rays, cells) that gives each ray the value of its cell."""
+    from scipy.sparse import csr_array
+
+    rays = len(cells.of_ray)
+    ones = np.ones(rays, np.float32)
+    return csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
 
 
 def _lower_wavelet(part: PartBuilder, transport: WaveletTransport) -> None:
@@ -330,8 +346,7 @@ def _lower_wavelet(part: PartBuilder, transport: WaveletTransport) -> None:
     chain = part.chain(transport.kind)
     arrays, cells = transport.pack()[0], transport.cells
     rays = math.prod(transport.camera_shape)
-    ones = np.ones(rays, np.float32)
-    spread = csr_array((ones, cells.of_ray, np.arange(rays + 1)), shape=(rays, cells.count))
+    spread = _spread_over_cells(cells)
     wavelets = csr_array(cells.haar.forward(np.eye(cells.count, dtype=np.float32)))
     light, received = chain.buffer("light", rays), chain.buffer("received", rays)
     lit, sums = (chain.buffer(name, cells.count) for name in ("lit cells", "sums of cells"))

@@ -140,8 +140,8 @@ def has_stalled(state: AdaptiveState) -> bool:
 
 def is_mostly_noise(state: AdaptiveState) -> bool:
     """Test whether the error is at most 1.5 times the noise of the floodlit image."""
-    assert state.pictures is not None
-    return state.errors[-1] <= MOSTLY_NOISE * state.pictures.noise
+    assert state.floodlit is not None
+    return state.errors[-1] <= MOSTLY_NOISE * state.floodlit.noise
 
 
 def is_nearly_met(state: AdaptiveState) -> bool:

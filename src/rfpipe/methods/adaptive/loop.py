@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -163,8 +164,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if shown.held_out:
             after = replace(after, held_out=_read(state, images, 0, shown.held_out))
         if shown.count and shown.phase is Phase.MODEL:
-            pictures = _read(state, images, shown.held_out, images.schedule.count)
-            after, best = self._fit_model(after.with_pictures(pictures))
+            after = self._with_model_pictures(after, images, shown.held_out)
+            after, best = self._fit_model(after)
         elif shown.count:
             cell_pictures = _camera_cells(state).read(images, shown.held_out)
             after, best = self._fit_residual(after.with_cell_pictures(cell_pictures))
@@ -196,8 +197,16 @@ class AdaptiveMethod(Method[AdaptiveState]):
         row = level_row(state.level, 1, scalar=state.camera.size)
         floodlit = self.prepared_floodlit(state, _read(state, images, 0, 1))
         model = self.first_model(state, floodlit)
-        after = replace(state, rows=(row,), pictures=floodlit, model=model)
+        after = replace(state, rows=(row,), floodlit=floodlit, model=model)
+        after = _with_prepared(after, model, _camera_cells(after), [floodlit])
         return self._continue(after, Decision(Phase.MODEL))
+
+    def _with_model_pictures(
+        self, state: AdaptiveState, images: LevelImages, first: int
+    ) -> AdaptiveState:
+        """Read the pictures of a round of the model from index `first` on, a few at a time."""
+        pictures = Pictures.batches(images, state.channels, state.camera.size, first)
+        return _with_prepared(state, self._model(state), _camera_cells(state), pictures)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Return the floodlit picture as the model uses it; here unchanged."""
@@ -205,7 +214,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _fit_model(self, state: AdaptiveState) -> tuple[AdaptiveState, Candidate]:
         """Fit the model to all pictures, and its residual where that may help."""
-        shown, model = state.next_round, self._model(state).fit(_pictures(state))
+        shown, model = state.next_round, self._model(state).fit(state.pictures)
         state = replace(state.with_row(**model.counts), model=model, residual=None)
         assert shown is not None
         base = self._best_without_residual(state)
@@ -227,15 +236,12 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _with_residual_of(self, state: AdaptiveState, base: Candidate) -> AdaptiveState:
         """Fit the residual of a transport to the pictures of all rounds."""
-        camera, pictures = _camera_cells(state), _pictures(state)
-        parts = [camera.cell_pictures(pictures.lit, pictures.radiance, pictures.variance)]
-        if state.cell_pictures is not None:
-            parts.append(state.cell_pictures)
+        camera, pictures = _camera_cells(state), state.cell_pictures
+        assert pictures is not None, "the floodlit picture comes first"
         projector = self._model(state).projector_cells(camera, base.transport)
         # the residual of the same transport, if there is one, is fitted to fewer pictures
         previous = state.residual if state.residual_of_hierarchy == base.is_hierarchy else None
-        together = joined(parts, axis=0)
-        residual = fit_residual(camera, projector, together, base.transport, previous)
+        residual = fit_residual(camera, projector, pictures, base.transport, previous)
         return replace(state, residual=residual, residual_of_hierarchy=base.is_hierarchy)
 
     # --- the hierarchy
@@ -250,7 +256,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         state = replace(
             state, hierarchy_tolerance=self.hierarchy_cost.tolerance * target_of(state.options)
         )
-        pictures, shape = _pictures(state), (1, *state.camera.shape, state.channels)
+        pictures, shape = _floodlit(state), (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(images[0].T).reshape(shape)
             for images in (pictures.radiance, pictures.variance)
@@ -321,7 +327,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if state.held_out is None:
             return Candidate(Estimate(1.0, 1.0, 1.0), transport, is_hierarchy)
         dark = self._model(state).dark_pixels(state.held_out.lit)
-        floodlit = _pictures(state).floodlit
+        floodlit = _floodlit(state).floodlit
         estimate = estimate_error(transport, state.held_out, floodlit, dark)
         return Candidate(estimate, transport, is_hierarchy)
 
@@ -435,10 +441,21 @@ def _read(state: AdaptiveState, images: LevelImages, first: int, last: int) -> P
     return Pictures.read(images, state.channels, state.camera.size, first, last)
 
 
-def _pictures(state: AdaptiveState) -> Pictures:
-    assert state.pictures is not None, "the floodlit picture comes first"
-    return state.pictures
+def _with_prepared(
+    state: AdaptiveState, model: AdaptiveModel, camera: CameraCells, batches: Iterable[Pictures]
+) -> AdaptiveState:
+    """Add pictures, as the model's fit and the residual's take them."""
+    prepared, in_cells = [], []
+    for pictures in batches:
+        prepared.append(model.prepared(pictures))
+        in_cells.append(camera.cell_pictures(pictures.lit, pictures.radiance, pictures.variance))
+    return state.with_pictures(prepared).with_cell_pictures(joined(in_cells, axis=0))
+
+
+def _floodlit(state: AdaptiveState) -> Pictures:
+    assert state.floodlit is not None, "the floodlit picture comes first"
+    return state.floodlit
 
 
 def _camera_cells(state: AdaptiveState) -> CameraCells:
-    return CameraCells.of_pictures(state.camera.shape, _pictures(state))
+    return CameraCells.of_pictures(state.camera.shape, _floodlit(state))

@@ -32,8 +32,11 @@ class AdaptiveModel(Protocol):
     def next_patterns(self, key: int, count: int) -> Bools:
         """Draw random patterns, bool (count, *projector_shape); they differ between keys."""
 
-    def fit(self, pictures: Pictures) -> Self:
-        """Fit the model to all pictures so far, the first of them floodlit."""
+    def prepared(self, pictures: Pictures) -> Any:
+        """Return pictures as `fit` takes them: a dataclass of arrays, pictures first."""
+
+    def fit(self, pictures: Sequence[Any]) -> Self:
+        """Fit the model to all `prepared` pictures so far; the first of them is floodlit."""
 
     def transport(
         self,

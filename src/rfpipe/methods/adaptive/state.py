@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
 
@@ -74,10 +74,13 @@ class AdaptiveState(MethodState):
     ----------
     next_round : Round, optional
         None at the end.
-    pictures : Pictures, optional
-        Pictures of the model's rounds; the first is floodlit. None before it is taken.
+    floodlit : Pictures, optional
+        The floodlit picture alone. None before it is taken.
+    pictures : tuple of pictures of `pictures_type`
+        Pictures of the model's rounds as the model's fit takes them, in parts that are never
+        copied; the first is floodlit.
     cell_pictures : CellPictures, optional
-        Pictures of all other rounds, fitted to cells.
+        Pictures of all rounds, fitted to cells; the first is floodlit.
     held_out : Pictures, optional
         Held-out pictures.
     estimates : tuple of Estimate
@@ -97,9 +100,13 @@ class AdaptiveState(MethodState):
     hierarchy_method: ClassVar[str]
     """Name of the method of the hierarchy, ``symmetric`` or ``dual``."""
 
+    pictures_type: ClassVar[Any]
+    """Type of `pictures`: a dataclass of arrays whose first axis are the pictures."""
+
     options: ErrorOptions
     next_round: Round | None = Round(Phase.FLOODLIT)
-    pictures: Pictures | None = None
+    floodlit: Pictures | None = None
+    pictures: tuple[Any, ...] = ()
     cell_pictures: CellPictures | None = None
     held_out: Pictures | None = None
     estimates: tuple[Estimate, ...] = ()
@@ -155,13 +162,12 @@ class AdaptiveState(MethodState):
             entries["estimated_indirect"] = estimate.indirect
         return replace(self.with_row(**entries), estimates=(*self.estimates, estimate))
 
-    def with_pictures(self, pictures: Pictures) -> Self:
-        """Add pictures of a round of the model."""
-        parts = [pictures] if self.pictures is None else [self.pictures, pictures]
-        return replace(self, pictures=joined(parts, axis=0))
+    def with_pictures(self, parts: Sequence[Any]) -> Self:
+        """Add pictures of a round of the model, prepared for its fit."""
+        return replace(self, pictures=(*self.pictures, *parts))
 
     def with_cell_pictures(self, pictures: CellPictures) -> Self:
-        """Add pictures of any other round."""
+        """Add pictures of a round, fitted to cells."""
         parts = [pictures] if self.cell_pictures is None else [self.cell_pictures, pictures]
         return replace(self, cell_pictures=joined(parts, axis=0))
 
@@ -178,13 +184,14 @@ class AdaptiveState(MethodState):
         }
         arrays: dict[str, NDArray[Any]] = {}
         for prefix, pictures, before in (
-            ("pictures_", self.pictures, previous.pictures),
+            ("floodlit_", self.floodlit, previous.floodlit),
             ("cell_pictures_", self.cell_pictures, previous.cell_pictures),
             ("held_out_", self.held_out, previous.held_out),
         ):
             if pictures is not None and pictures is not before:
-                first = 0 if before is None else len(before.lit)
-                arrays |= with_prefix(prefix, _picture_arrays(pictures, first))
+                arrays |= with_prefix(prefix, _new_pictures(pictures, before))
+        if added := self.pictures[len(previous.pictures) :]:
+            arrays |= with_prefix("pictures_", _new_pictures(joined(added, axis=0), None))
         if self.residual is not previous.residual:
             attributes["has_residual"] = self.residual is not None
             if self.residual is not None:
@@ -192,9 +199,9 @@ class AdaptiveState(MethodState):
         if self.hierarchy_state is not previous.hierarchy_state:
             start = previous.hierarchy_state
             start = hierarchy_start(self) if start is None else start
-            added = self.hierarchy_state.to_arrays(start)
-            arrays |= with_prefix("hierarchy_", added.arrays)
-            attributes["hierarchy"] = dict(added.attributes)
+            changed = self.hierarchy_state.to_arrays(start)
+            arrays |= with_prefix("hierarchy_", changed.arrays)
+            attributes["hierarchy"] = dict(changed.attributes)
         return StateArrays(arrays, attributes)
 
     @classmethod
@@ -210,9 +217,10 @@ class AdaptiveState(MethodState):
             rows=tuple(last["rows"]),
             hierarchy_levels=tuple(last["hierarchy_levels"]),
             estimates=tuple(Estimate(**values) for values in last["estimates"]),
-            pictures=_pictures(Pictures, "pictures_", levels),
-            cell_pictures=_pictures(CellPictures, "cell_pictures_", levels),
-            held_out=_pictures(Pictures, "held_out_", levels),
+            floodlit=_all(_pictures(Pictures, "floodlit_", levels)),
+            pictures=_pictures(cls.pictures_type, "pictures_", levels),
+            cell_pictures=_all(_pictures(CellPictures, "cell_pictures_", levels)),
+            held_out=_all(_pictures(Pictures, "held_out_", levels)),
             residual=_residual(levels),
             **{name: last[name] for name in _PLAIN},
         )
@@ -252,12 +260,11 @@ def _round(phase: str, **numbers: int) -> Round:
     return Round(Phase(phase), **numbers)
 
 
-def _picture_arrays(pictures: Pictures | CellPictures, first: int) -> dict[str, NDArray[Any]]:
-    return {
-        "lit": pictures.lit[first:],
-        "radiance": pictures.radiance[first:],
-        "variance": pictures.variance[first:],
-    }
+def _new_pictures(pictures: Any, before: Any) -> dict[str, NDArray[Any]]:
+    """Return the arrays of pictures without those that there were before, None for none."""
+    names = [entry.name for entry in fields(pictures)]
+    first = 0 if before is None else len(getattr(before, names[0]))
+    return {name: getattr(pictures, name)[first:] for name in names}
 
 
 def _residual_arrays(residual: Residual) -> dict[str, NDArray[Any]]:
@@ -268,13 +275,18 @@ def _residual_arrays(residual: Residual) -> dict[str, NDArray[Any]]:
     }
 
 
-def _pictures(kind: Any, prefix: str, levels: Sequence[StateArrays]) -> Any:
-    """Concatenate the pictures of all levels; None if there are none."""
-    parts = [
+def _pictures(kind: Any, prefix: str, levels: Sequence[StateArrays]) -> tuple[Any, ...]:
+    """Return the pictures of each level that has some."""
+    first = fields(kind)[0].name
+    return tuple(
         kind(**without_prefix(prefix, level.arrays))
         for level in levels
-        if f"{prefix}lit" in level.arrays
-    ]
+        if f"{prefix}{first}" in level.arrays
+    )
+
+
+def _all(parts: tuple[Any, ...]) -> Any:
+    """Concatenate pictures; None if there are none."""
     return joined(parts, axis=0) if parts else None
 
 

@@ -21,7 +21,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from math import log2
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, join_views, on_view, split_views
 from rfpipe.methods.footprints.charts import Chart, chart_from_view
 from rfpipe.methods.footprints.functions import (
+    CameraToProjector,
     IndirectBasis,
     camera_factor,
     camera_to_projector,
@@ -80,6 +81,17 @@ _FAINT = 0.005
 _LAST_PRIOR, _RECIPROCAL_PRIOR = (1.0, 0.02), (0.05, 0.003)
 # Finer functions are added where the error exceeds this fraction of the floodlit image.
 _ALLOWED_ERROR = 0.004
+
+
+class _LastFit(NamedTuple):
+    """Accuracy of S in the last fit, and fits of S and D in turn where ``D = D^T``."""
+
+    accuracy: Accuracy
+    turns: int
+
+
+# The fit of a channel starts from that of the channels' sum.
+_SUM, _CHANNEL = _LastFit(BEST, 2), _LastFit(GOOD, 1)
 
 
 @dataclass(frozen=True)
@@ -147,11 +159,13 @@ def fit_model(
     """
     problem = _problem(camera, projector, grey, limits)
     footprints = previous if previous is not None else _first_footprints(problem)
-    for _ in range(1 if previous is not None else 2):
-        light = _fit_indirect(problem, footprints)
+    light = _fit_indirect(problem, footprints)
+    footprints = _search_footprints(problem, footprints, light)
+    if previous is None:
+        light = _fit_indirect_again(problem, footprints, light)
         footprints = _search_footprints(problem, footprints, light)
     footprints = _prepare_last_fit(grey, footprints)
-    combined = _fit_parts(grey, footprints, light, problem.camera_rays, BEST)
+    combined = _fit_parts(grey, footprints, light, problem.camera_rays, _SUM)
     fitted = tuple(_fit_channel(problem, pictures, combined) for pictures in channels)
     return FittedChannels(combined.footprints, fitted or (combined,))
 
@@ -184,28 +198,41 @@ def _problem(
 
 def _first_footprints(problem: _Problem) -> Candidates:
     views = zip(problem.grey, problem.templates, strict=True)
-    return join_views(
-        [first_candidates(pictures, problem.camera, templates) for pictures, templates in views]
-    )
+    parts = []
+    for pictures, templates in views:
+        first = first_candidates(pictures, problem.camera, templates)
+        # only the rays in the fit of indirect light need the candidates without light
+        parts.append(_without_faint(problem, first, pictures.floodlit, 0.0))
+    return join_views(parts)
 
 
 def _search_footprints(
     problem: _Problem, footprints: Candidates, light: IndirectLight
 ) -> Candidates:
     """Search for footprints in the pictures minus indirect light, and fit their weights."""
-    grey, indirect, parts = problem.grey, light.in_pictures(problem.grey), []
-    views = zip(grey, split_views(footprints, len(grey)), indirect, problem.templates, strict=True)
+    grey, parts = problem.grey, []
+    views = zip(
+        grey, split_views(footprints, len(grey)), light.in_pictures(grey), problem.templates,
+        strict=True,
+    )  # fmt: skip
     for pictures, part, in_pictures, templates in views:
         refined = refined_candidates(pictures, part, in_pictures, problem.camera, templates)
         weighted = fit_weights(refined, pictures, in_pictures)
-        if problem.camera_rays is not None:
-            # only the rays in the fit of indirect light need the faint candidates
-            weighted = weighted.above(_FAINT, pictures.floodlit, problem.camera_rays)
-        parts.append(weighted)
+        # only the rays in the fit of indirect light need the faint candidates
+        parts.append(_without_faint(problem, weighted, pictures.floodlit, _FAINT))
     footprints = join_views(parts)
     if not light.basis.mapping.shared_rays:
         return footprints
-    return _fit_weights_of_views(grey, with_transposed(footprints), indirect)
+    return _fit_weights_of_views(grey, with_transposed(footprints), light.in_pictures(grey))
+
+
+def _without_faint(
+    problem: _Problem, candidates: Candidates, floodlit: Float, fraction: float
+) -> Candidates:
+    """Drop weights of at most a fraction of the floodlit image, except of the rays in the fit."""
+    if problem.camera_rays is None:
+        return candidates
+    return candidates.above(fraction, floodlit, problem.camera_rays)
 
 
 def _prepare_last_fit(pictures: PicturesByView, footprints: Candidates) -> Candidates:
@@ -224,13 +251,13 @@ def _fit_parts(
     footprints: Candidates,
     light: IndirectLight,
     camera_rays: Index | None,
-    accuracy: Accuracy,
+    last: _LastFit,
 ) -> ChannelModel:
     """Fit S, then the weights of D, with fixed candidates and functions."""
     if light.basis.mapping.shared_rays:
-        return _fit_reciprocal_parts(pictures, footprints, light, camera_rays)
+        return _fit_reciprocal_parts(pictures, footprints, light, camera_rays, last.turns)
     data = fit_data(pictures, footprints, camera_rays)
-    light = fit_gains(fit_cores(light, data, light.learned_deviations(), accuracy), data)
+    light = fit_gains(fit_cores(light, data, light.learned_deviations(), last.accuracy), data)
     footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
     return ChannelModel(footprints, light)
 
@@ -240,6 +267,7 @@ def _fit_reciprocal_parts(
     footprints: Candidates,
     light: IndirectLight,
     camera_rays: Index | None,
+    turns: int,
 ) -> ChannelModel:
     """Fit weights near ``D = D^T``, and S, in turn.
 
@@ -248,7 +276,7 @@ def _fit_reciprocal_parts(
     """
     footprints = with_transposed(footprints)
     footprints = _fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
-    for _ in range(2):
+    for _ in range(turns):
         footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
         views = list(
             zip(pictures, split_views(symmetrized(footprints), len(pictures)), strict=True)
@@ -266,7 +294,7 @@ def _fit_reciprocal_parts(
 
 
 def _fit_weights_of_views(
-    pictures: PicturesByView, footprints: Candidates, indirect: list[Float]
+    pictures: PicturesByView, footprints: Candidates, indirect: Iterable[Float]
 ) -> Candidates:
     views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
     return join_views([fit_weights(part, view, in_view) for part, view, in_view in views])
@@ -305,42 +333,95 @@ def _fit_channel(
     )
     if not share.any():
         return ChannelModel(footprints, light)
-    return _fit_parts(pictures, footprints, light, problem.camera_rays, GOOD)
+    return _fit_parts(pictures, footprints, light, problem.camera_rays, _CHANNEL)
 
 
 def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
     """Fit S with functions of finer and finer scales, where the pictures need them."""
-    camera, projector, grey = problem.camera, problem.projector, problem.grey
-    direct, floodlit = footprints.matrix(), floodlit_by_all(grey)
-    chart = _chart(problem, footprints)
-    # a single coaxial pair is left to near/far acquisition; here it counts as any rig of one view
-    is_coaxial = len(grey) > 1 and camera == projector and is_symmetric(footprints)
-    mapping = identity_map(camera.size) if is_coaxial else camera_to_projector(direct, floodlit)
-    f = camera_factor(direct, floodlit)
-    g = projector_factor(mapping, f, floodlit)
-    expected = _mean_indirect_light(grey, floodlit, direct)
-    mean = float(floodlit.mean(dtype=np.float64))
-    data = fit_data(grey, footprints, problem.camera_rays)
+    camera, projector = problem.camera, problem.projector
+    start = _start(problem, footprints)
+    data, mean = start.data, float(floodlit_by_all(problem.grey).mean(dtype=np.float64))
 
     def fit(functions: NDArray[np.int32], previous: IndirectLight | None) -> IndirectLight | None:
-        basis = IndirectBasis(chart.basis(functions), projector, mapping)
+        basis = IndirectBasis(start.chart.basis(functions), projector, start.mapping)
         if previous is not None and basis.part_count > problem.largest_part_count:
             return None
         gains = (np.ones(camera.size, np.float32), np.ones(projector.size, np.float32))
         if previous is not None:
             gains = previous.camera_gain, previous.projector_gain
-        light = IndirectLight(basis, f, g, *gains, np.zeros(basis.part_count, np.float32))
-        light = fit_cores(light, data, basis.prior_deviations(expected, mean), ROUGH)
+        parts = np.zeros(basis.part_count, np.float32)
+        light = IndirectLight(basis, start.f, start.g, *gains, parts)
+        light = fit_cores(light, data, basis.prior_deviations(start.indirect, mean), ROUGH)
         return fit_gains(fit_cores(light, data, light.learned_deviations(), GOOD), data)
 
     def cells_to_refine(light: IndirectLight, scale: int) -> Bools:
         # the two coarsest scales cover the whole chart; only finer ones depend on the residual
-        if 2 * scale == coarsest_scale(chart.shape):
-            return np.ones(cells(chart.shape, scale), np.bool_)
-        return _unexplained_chart_cells(chart, scale, light, data)
+        if 2 * scale == coarsest_scale(start.chart.shape):
+            return np.ones(cells(start.chart.shape, scale), np.bool_)
+        return _unexplained_chart_cells(start.chart, scale, light, data)
 
-    light = coarse_to_fine(chart.shape, fit, cells_to_refine)
+    light = coarse_to_fine(start.chart.shape, fit, cells_to_refine)
     return fit_cores(light, data, light.learned_deviations(), BEST)
+
+
+def _fit_indirect_again(
+    problem: _Problem, footprints: Candidates, previous: IndirectLight
+) -> IndirectLight:
+    """Fit S after another search.
+
+    With several projector views the functions stay, and the fit starts from the previous one: their
+    places on the chart hardly change, and a fit from coarse to fine takes most of the time. Where
+    the chart has another shape, and with one view, the functions are chosen anew.
+    """
+    chart = previous.basis.camera.shape
+    if len(problem.grey) == 1 or _chart(problem, footprints).shape != chart:
+        return _fit_indirect(problem, footprints)
+    start = _start(problem, footprints)
+    functions = start.chart.basis(previous.basis.camera.functions)
+    basis = IndirectBasis(functions, problem.projector, start.mapping)
+    light = replace(previous, basis=basis, camera_factor=start.f, projector_factor=start.g)
+    for accuracy in (GOOD, BEST):
+        light = fit_cores(light, start.data, light.learned_deviations(), accuracy)
+    return light
+
+
+class _Start(NamedTuple):
+    """Inputs of a fit of indirect light, computed from footprints.
+
+    Attributes
+    ----------
+    chart : Chart
+    mapping : CameraToProjector
+    f, g : ndarray of float32, shape (M,) and (N,)
+    indirect : float
+        Mean indirect light of the floodlit image, radiance.
+    data : FitData
+    """
+
+    chart: Chart
+    mapping: CameraToProjector
+    f: Float
+    g: Float
+    indirect: float
+    data: FitData
+
+
+def _start(problem: _Problem, footprints: Candidates) -> _Start:
+    """Compute the inputs of a fit of indirect light."""
+    camera, grey = problem.camera, problem.grey
+    direct, floodlit = footprints.matrix(), floodlit_by_all(grey)
+    # a single coaxial pair is left to near/far acquisition; here it counts as any rig of one view
+    is_coaxial = len(grey) > 1 and camera == problem.projector and is_symmetric(footprints)
+    mapping = identity_map(camera.size) if is_coaxial else camera_to_projector(direct, floodlit)
+    f = camera_factor(direct, floodlit)
+    return _Start(
+        _chart(problem, footprints),
+        mapping,
+        f,
+        projector_factor(mapping, f, floodlit),
+        _mean_indirect_light(grey, floodlit, direct),
+        fit_data(grey, footprints, problem.camera_rays),
+    )
 
 
 def _chart(problem: _Problem, footprints: Candidates) -> Chart:

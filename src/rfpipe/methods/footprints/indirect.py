@@ -41,7 +41,7 @@ block-diagonal. A fit may be restricted to some of the camera rays; then M is th
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -51,7 +51,7 @@ import numpy as np
 from rfpipe.array_types import Float, Index
 from rfpipe.methods.footprints.candidates import Candidates, split_views
 from rfpipe.methods.footprints.functions import IndirectBasis
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.pictures import ViewArrays, ViewPictures
 from rfpipe.methods.footprints.weights import MarginalPrecision, marginal_precision
 from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.methods.smooth_light import learned_deviations
@@ -120,13 +120,16 @@ class IndirectLight:
         """Return the root mean square of the core parts of each group, (part_count,)."""
         return learned_deviations(self.basis.part_groups, self.core_parts)
 
-    def in_pictures(self, pictures: Sequence[ViewPictures]) -> list[Float]:
-        """Compute the indirect light in the pictures of each projector view.
+    def in_pictures(self, pictures: Sequence[ViewPictures]) -> Iterator[Float]:
+        """Compute the indirect light in the pictures of each projector view, one by one.
 
-        Only the patterns are used. Returns one float32 array (camera rays, P) for each view.
+        Only the patterns are used. Yields one float32 array (camera rays, P) for each view.
         """
-        light = core_operator(self, pictures, None).forward(self.core_parts)
-        return _split(light, pictures)
+        f, views = self.f, zip(self.basis.R_by_view, pictures, strict=True)
+        factors = self.g.reshape(len(pictures), -1, 1)
+        for (R, view), factor in zip(views, factors, strict=True):
+            light = np.ascontiguousarray(R.T @ (view.patterns * factor), np.float32)
+            yield CoreOperator(self.basis, self.basis.L, f, light).forward(self.core_parts)
 
 
 @dataclass(frozen=True)
@@ -135,7 +138,7 @@ class FitData:
 
     Attributes
     ----------
-    pictures : tuple of ViewPictures
+    pictures : tuple of ViewArrays
         One for each projector view.
     precisions : tuple of MarginalPrecision
         One for each projector view.
@@ -143,7 +146,7 @@ class FitData:
         Numbers of the M rays in the fit, ascending; None for all.
     """
 
-    pictures: tuple[ViewPictures, ...]
+    pictures: tuple[ViewArrays, ...]
     precisions: tuple[MarginalPrecision, ...]
     camera_rays: Index | None
 
@@ -198,7 +201,8 @@ class CoreOperator:
         received = np.zeros_like(self.pattern_light)
         S = AsymmetricCores(*self.basis.camera.pairs, *np.split(core_parts, 2))
         couple_asymmetric(S, self.pattern_light, received)
-        images: Float = (self.L @ received) * self.f[:, None]
+        images: Float = self.L @ received
+        images *= self.f[:, None]
         return images
 
     def adjoint(self, images: Float) -> Float:
@@ -313,7 +317,7 @@ def _fit_camera_gains(light: IndirectLight, data: FitData) -> IndirectLight:
     For the indirect light z without the gain, the gain is
     ``(z^T Lambda c + 1 / 0.1^2) / (z^T Lambda z + 1 / 0.1^2)``.
     """
-    images = np.concatenate(light.in_pictures(data.pictures), axis=1)
+    images = np.concatenate(list(light.in_pictures(data.pictures)), axis=1)
     images /= light.camera_gain[:, None]
     weighted, prior = data.apply_precision(images), np.float32(1 / _CAMERA_SPREAD**2)
     normal = np.einsum("iq,iq->i", weighted, images) + prior

@@ -32,7 +32,11 @@ from rfpipe.methods.footprints.direct_light import pixels_without_direct_light, 
 from rfpipe.methods.footprints.fit import fit_model, solution_count
 from rfpipe.methods.footprints.model import transport_arrays, uniform_arrays
 from rfpipe.methods.footprints.patterns import view_patterns
-from rfpipe.methods.footprints.pictures import radiance_unit, split_pictures
+from rfpipe.methods.footprints.pictures import (
+    PackedPictures,
+    radiance_unit,
+    split_pictures,
+)
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells
 from rfpipe.methods.states import with_prefix, without_prefix
@@ -87,15 +91,21 @@ def suits_random_patterns(projector: RayDomain, limit: int) -> bool:
 
 
 def fit_pictures(
-    camera: RayDomain, projector: RayDomain, pictures: Pictures, previous: Candidates | None
+    camera: RayDomain,
+    projector: RayDomain,
+    pictures: Sequence[PackedPictures],
+    unit: float,
+    previous: Candidates | None,
 ) -> tuple[dict[str, NDArray[Any]], Candidates]:
     """Fit the model to pictures of all channels.
 
     Parameters
     ----------
     camera, projector : RayDomain
-    pictures : Pictures
-        The first is floodlit.
+    pictures : sequence of PackedPictures
+        The first picture is floodlit.
+    unit : float
+        Unit of their radiance.
     previous : Candidates, optional
         Footprints of the channels' sum of the last fit.
 
@@ -106,10 +116,10 @@ def fit_pictures(
     footprints : Candidates
         Footprints of the channels' sum.
     """
-    unit, views, channels = radiance_unit(pictures), projector.views, pictures.channels
-    grey = split_pictures(pictures.grey() if channels > 1 else pictures, unit, views)
+    channels = pictures[0].channels
+    grey = split_pictures(pictures, slice(None), projector)
     single_channels = (
-        split_pictures(pictures.channel(index), unit, views)
+        split_pictures(pictures, slice(index, index + 1), projector)
         for index in range(channels if channels > 1 else 0)
     )
     with steps("footprints", solution_count(projector, channels, is_first=previous is None)):
@@ -126,6 +136,8 @@ class FootprintModel:
     camera, projector : RayDomain
     floodlit : ndarray of float32, shape (C, M)
         The floodlit image.
+    unit : float
+        Unit of radiance in the fit.
     is_suitable : bool
         False for dark scenes and small projectors.
     arrays : dict of str to ndarray, optional
@@ -137,6 +149,7 @@ class FootprintModel:
     camera: RayDomain
     projector: RayDomain
     floodlit: Float
+    unit: float
     is_suitable: bool
     arrays: dict[str, NDArray[Any]] | None = None
     footprints: Candidates | None = None
@@ -156,9 +169,15 @@ class FootprintModel:
         """Draw random patterns of three kinds of detail, see `view_patterns`."""
         return view_patterns(self.projector.shape, key, count)
 
-    def fit(self, pictures: Pictures) -> Self:
+    def prepared(self, pictures: Pictures) -> PackedPictures:
+        """Pack pictures."""
+        return PackedPictures.of(pictures, self.unit)
+
+    def fit(self, pictures: Sequence[PackedPictures]) -> Self:
         """Fit footprints and indirect light to all pictures."""
-        arrays, footprints = fit_pictures(self.camera, self.projector, pictures, self.footprints)
+        arrays, footprints = fit_pictures(
+            self.camera, self.projector, pictures, self.unit, self.footprints
+        )
         return replace(self, arrays=arrays, footprints=footprints)
 
     def transport(
@@ -193,6 +212,7 @@ class FootprintState(AdaptiveState):
     """State of a footprint acquisition."""
 
     hierarchy_method = "dual"
+    pictures_type = PackedPictures
 
     model: FootprintModel | None = None
 
@@ -216,9 +236,9 @@ class FootprintState(AdaptiveState):
     def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
         """Restore the state."""
         state = super().from_arrays(start, levels)
-        if state.pictures is None:
+        if state.floodlit is None:
             return state
-        model = first_model(state, state.pictures)
+        model = first_model(state, state.floodlit)
         level = latest("footprint_sizes", levels)
         if level is not None:
             camera_size, projector_size = level.attributes["footprint_sizes"]
@@ -238,8 +258,9 @@ class FootprintState(AdaptiveState):
 def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
     """Make the model of the floodlit picture alone."""
     suits = suits_random_patterns(state.projector, state.options.patterns)
-    is_suitable = suits and floodlit.select(slice(0, 1)).has_light()
-    return FootprintModel(state.camera, state.projector, floodlit.floodlit, is_suitable)
+    is_suitable = suits and floodlit.has_light()
+    unit = radiance_unit(floodlit)
+    return FootprintModel(state.camera, state.projector, floodlit.floodlit, unit, is_suitable)
 
 
 class Footprints(AdaptiveMethod):

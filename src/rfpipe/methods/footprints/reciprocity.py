@@ -9,7 +9,7 @@ its direct light is a diagonal.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -50,7 +50,7 @@ def symmetrized(footprints: Candidates) -> Candidates:
 
 
 def fit_reciprocal_weights(
-    footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Sequence[Float]
+    footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Iterable[Float]
 ) -> Candidates:
     """Fit the weights to the pictures minus indirect light, near the transposed weights.
 
@@ -60,7 +60,7 @@ def fit_reciprocal_weights(
         On all views of the projector; M = N.
     pictures : sequence of ViewPictures
         One for each view.
-    indirect : sequence of ndarray of float32, shape (M, P)
+    indirect : iterable of ndarray of float32, shape (M, P)
         Indirect light in the pictures of each view, radiance.
     """
     completed, transposed = _with_transposed_weights(footprints)

@@ -16,19 +16,25 @@ minimise
 
 with ``w_ip = F_i^2 / var(c_ip - F_i p_i)``, where the variance includes an error of the model of
 0.2 % of F. The prior deviations sigma first fall with the squared distance of the functions and are
-then learned from the fit. Pixels are summed over patches where all functions are coarse.
+then learned from the fit. Since B is constant over cells of pixels
+(`rfpipe.methods.near_far.pictures`), the lit pixels of a cell count as one pixel, and so do its
+dark pixels: c and F are summed over them. Cells are summed over patches where all functions are
+coarse.
 
 =========  ==================  ============  =======================================================
 symbol     name in the code    shape         meaning and unit
 =========  ==================  ============  =======================================================
-``p``      `lit`               (P, N)        the patterns of P pictures, without the floodlit one
-``F``      `factor`            (N,)          floodlit image, radiance
-``w``      `weight`            (P, N)        weight of each pixel of each picture, no unit
-``w y``    `weighted`          (P, N)        weighted data, no unit
+``F p``    `light`             (P, M')       floodlit image of the lit pixels of M' cells, of P
+                                             pictures without the floodlit one, radiance
+``F``      `factor`            (M',)         floodlit image summed over cells, radiance
+``w``      `dark_weight`,      (P, M')       weights of the dark and of the lit pixels of each cell
+           `lit_weight`                      in each picture, no unit
+``w y``    `dark_data`,        (P, M')       weighted data, no unit
+           `lit_data`
 ``B``      `Patches.values`    (patches, n)  mean of each of n functions over each patch
 ``L``      `light`             (n, P + 1)    light of each pattern on each function, radiance; the
                                              last column is of full light
-``a``                          (N, P + 1)    indirect light over F, no unit
+``a``                          (M', P + 1)   indirect light over F, no unit
 ``S``      `cores`             (pairs,)      an entry for each pair of functions, inverse radiance
 ``sigma``  `deviations`        (pairs,)      prior standard deviation of each core
 =========  ==================  ============  =======================================================
@@ -47,9 +53,12 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import Pictures, beyond_noise
 from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.methods.near_far.model import SmoothModel
+from rfpipe.methods.near_far.pictures import SplitPictures
 from rfpipe.methods.smooth_light import coarse_to_fine, learned_deviations, prior_areas
 from rfpipe.steps import step
-from rfpipe.transport.multiscale import MultiscaleBasis, cells, relight_smooth
+from rfpipe.transport.multiscale import MultiscaleBasis, exchanged
+from rfpipe.transport.multiscale import cells as scale_cells
+from rfpipe.transport.wavelet import Cells
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -66,19 +75,28 @@ _MOST_PAIRS = 2**24
 _COARSE, _FIRST, _FINAL, _CHANNEL = (3e-3, 60), (1e-3, 120), (1.5e-4, 300), (3e-4, 300)
 
 
-def fit_smooth_model(shape: tuple[int, ...], pictures: Pictures) -> SmoothModel:
-    """Fit the indirect light of all channels to pictures, the first of them floodlit.
+def fit_smooth_model(cells: Cells, floodlit: Pictures, pictures: SplitPictures) -> SmoothModel:
+    """Fit the indirect light of all channels.
 
     The basis is refined, and the cores are fitted, to the sum of the channels. Each channel's fit
     starts from that, scaled to the channel's indirect light.
+
+    Parameters
+    ----------
+    cells : Cells
+        `fit_cells` of the ray domain.
+    floodlit : Pictures
+        The floodlit picture alone.
+    pictures : SplitPictures
+        All other pictures.
     """
-    grey = pictures.grey()
-    data = channel_data(grey)
-    patches = patches_of(_refined_basis(shape, grey, data))
+    grey = floodlit.grey()
+    data = channel_data(cells, grey, pictures.grey())
+    patches = patches_of(_refined_basis(cells, data, has_light=grey.has_light()))
     basis = patches.basis
     cores = np.zeros((pictures.channels, len(basis.first)), np.float32)
     if not grey.has_light():
-        return SmoothModel(shape, basis.functions, cores)
+        return SmoothModel(cells, basis.functions, cores)
     problem = CoreProblem.from_data(patches, data)
     # in the first fit, cores that few patterns determine stay near 0; their deviations are learned
     # from the rest of their group
@@ -87,50 +105,48 @@ def fit_smooth_model(shape: tuple[int, ...], pictures: Pictures) -> SmoothModel:
     estimate = problem.solve(deviations, _FINAL, estimate)
     if pictures.channels == 1:
         cores[0] = estimate
-        return SmoothModel(shape, basis.functions, cores)
+        return SmoothModel(cells, basis.functions, cores)
     for index in range(pictures.channels):
-        channel = pictures.channel(index)
+        channel = floodlit.channel(index)
         if not channel.has_light():
             continue
-        single = channel_data(channel)
+        single = channel_data(cells, channel, pictures.channel(index))
         scale = np.float32(single.core_scale / data.core_scale if data.core_scale else 0)
         single_problem = CoreProblem.from_data(patches, single)
         cores[index] = single_problem.solve(scale * deviations, _CHANNEL, scale * estimate)
-    return SmoothModel(shape, basis.functions, cores)
+    return SmoothModel(cells, basis.functions, cores)
 
 
-def _refined_basis(
-    shape: tuple[int, ...], pictures: Pictures, data: ChannelData
-) -> MultiscaleBasis:
+def _refined_basis(cells: Cells, data: ChannelData, *, has_light: bool) -> MultiscaleBasis:
     """Add functions scale by scale where the pictures' dark pixels are not explained."""
+    shape = cells.grid_shape
 
     def fit(functions: FunctionTable, _: MultiscaleBasis | None) -> MultiscaleBasis | None:
         basis = MultiscaleBasis(shape, functions)
         return basis if len(basis.first) <= _MOST_PAIRS else None
 
     def cells_to_refine(basis: MultiscaleBasis, scale: int) -> NDArray[np.bool_]:
-        if not pictures.has_light():
-            return np.zeros(cells(shape, scale), np.bool_)
+        if not has_light:
+            return np.zeros(scale_cells(shape, scale), np.bool_)
         problem = CoreProblem.from_data(patches_of(basis), data)
         cores = problem.solve(prior_deviations(basis, data), _COARSE)
-        probes = pictures.probes
-        light = relight_smooth(basis, basis.pairs, cores, pictures.floodlit[0], probes.lit)
-        return _unexplained_cells(shape, scale, pictures, probes.radiance[:, 0] - light)
+        received = exchanged(basis, basis.pairs, cores, problem.light[:, :-1])
+        indirect = (basis.weights @ received).T
+        indirect *= data.dark_factor
+        return _unexplained_cells(shape, scale, data, data.dark - indirect)
 
     return coarse_to_fine(shape, fit, cells_to_refine)
 
 
 def _unexplained_cells(
-    shape: tuple[int, ...], scale: int, pictures: Pictures, errors: Float
+    shape: tuple[int, ...], scale: int, data: ChannelData, errors: Float
 ) -> NDArray[np.bool_]:
-    """Find the cells of a scale where errors (P, N) of dark pixels exceed noise and 0.5 % of F."""
-    probes = pictures.probes
-    dark = pictures.known & ~probes.lit
-    variance = np.where(dark, probes.variance[:, 0], 0)
+    """Find the cells of a scale where errors (P, M') of dark pixels exceed noise and 0.5 % of F."""
+    variance = data.dark_variance
+    squared_error = np.where(variance > 0, errors * errors, 0).sum(axis=0, dtype=np.float64)
     noise = variance.sum(axis=0, dtype=np.float64)
-    squared_error = np.where(dark, errors * errors, 0).sum(axis=0, dtype=np.float64)
     half_variance = np.square(variance, dtype=np.float64).sum(axis=0)
-    allowed = (_REFINED_AT * pictures.floodlit[0].astype(np.float64)) ** 2 * dark.sum(axis=0)
+    allowed = _REFINED_AT**2 * np.square(data.dark_factor, dtype=np.float64).sum(axis=0)
     grid, cell = RayDomain(shape).square_cells(scale)
     return beyond_noise(grid, cell, squared_error, noise, half_variance, allowed)
 
@@ -141,65 +157,76 @@ class ChannelData:
 
     Attributes
     ----------
-    factor : ndarray of float32, shape (N,)
-        F, the floodlit image, in radiance.
-    lit : ndarray of bool, shape (P, N)
-        The patterns of all pictures except the floodlit one.
-    weight, weighted : ndarray of float32, shape (P, N)
-        w, and w times the data y.
+    factor : ndarray of float32, shape (M',)
+        F, the floodlit image summed over cells, in radiance.
+    light, dark, dark_factor, dark_variance : ndarray of float32, shape (P, M')
+        Floodlit image of lit pixels; radiance, floodlit image and variance of known dark pixels.
+    dark_weight, lit_weight, dark_data, lit_data : ndarray of float32, shape (P, M')
+        w, and w times the data y, of the dark and of the lit pixels of each cell.
     indirect : float
         Indirect light under full light, as a fraction of the floodlit image: twice the mean of dark
         pixels, since most patterns light half of the pixels. Strips light less, which makes it
         slightly too small.
     floodlit : float
-        Mean of the floodlit image, in radiance.
+        Mean of F over the cells, in radiance.
     """
 
     factor: Float
-    lit: NDArray[np.bool_]
-    weight: Float
-    weighted: Float
+    light: Float
+    dark: Float
+    dark_factor: Float
+    dark_variance: Float
+    dark_weight: Float
+    lit_weight: Float
+    dark_data: Float
+    lit_data: Float
     indirect: float
     floodlit: float
 
     @property
     def core_scale(self) -> float:
-        """Typical size of a core times its prior area in pixels, in inverse radiance."""
+        """Typical size of a core times its prior area in cells, in inverse radiance."""
         return self.indirect / max(self.floodlit, float(np.finfo(np.float32).tiny))
 
 
-def channel_data(pictures: Pictures) -> ChannelData:
-    """Compute the weighted data of one channel's pictures, the first of them floodlit."""
-    factor, known, probes = pictures.floodlit[0], pictures.known, pictures.probes
-    floodlit_variance = np.where(known, pictures.variance[0, 0], 0)  # else 0 times infinity
-    model_variance, squared_factor = np.square(_MODEL_ERROR * factor), np.square(factor)
-    weight, weighted = (np.empty(probes.lit.shape, np.float32) for _ in range(2))
-    # picture by picture, to save memory
-    for index, (lit, variance, radiance) in enumerate(
-        zip(probes.lit, probes.variance[:, 0], probes.radiance[:, 0], strict=True)
-    ):
-        total = variance + lit * floodlit_variance + model_variance
-        certainty = np.divide(1, total, where=total > 0, out=np.zeros_like(total))
-        weight[index] = certainty * squared_factor
-        weighted[index] = certainty * factor * (radiance - lit * factor)
-    floodlit = float(factor.mean(dtype=np.float64))
-    dark_light = probes.radiance[:, 0].T * ~probes.lit.T
-    dark_pixels = max(float(np.count_nonzero(~probes.lit[:, known])), 1.0)
-    indirect = 2 * float(dark_light.sum(dtype=np.float64)) / dark_pixels
-    share = max(indirect, 0.0) / floodlit if floodlit else 0.0
-    return ChannelData(factor, probes.lit, weight, weighted, share, floodlit)
+def channel_data(cells: Cells, floodlit: Pictures, pictures: SplitPictures) -> ChannelData:
+    """Compute the weighted data of one channel from its floodlit picture and all others."""
+    image, light = floodlit.floodlit, pictures.light[:, 0]
+    factor = cells.total(image)[:, 0]
+    known = cells.total(image * floodlit.known)[:, 0]
+    share = np.divide(known, factor, out=np.zeros_like(factor), where=factor != 0)
+    lit_factor, dark_factor = light * share, (factor - light) * share
+    dark, dark_variance = pictures.dark[:, 0], pictures.dark_variance[:, 0]
+    dark_factor[dark_variance == 0] = 0
+    dark_weight, dark_data = _weighted(dark_factor, dark, dark_variance)
+    lit_weight, lit_data = _weighted(lit_factor, pictures.excess[:, 0], pictures.lit_variance[:, 0])
+    mean = float(image.mean(dtype=np.float64))
+    indirect = 2 * float(dark.sum(dtype=np.float64)) / max(float(pictures.dark_count.sum()), 1.0)
+    return ChannelData(
+        factor, light, dark, dark_factor, dark_variance, dark_weight, lit_weight, dark_data,
+        lit_data, max(indirect, 0.0) / mean if mean else 0.0,
+        float(factor.mean(dtype=np.float64)),
+    )  # fmt: skip
+
+
+def _weighted(factor: Float, light: Float, variance: Float) -> tuple[Float, Float]:
+    """Compute ``w = F^2 / var`` and ``w y = F light / var``; 0 where the variance is 0."""
+    total = variance + np.square(_MODEL_ERROR * factor)
+    certainty = np.divide(1, total, where=variance > 0, out=np.zeros_like(total))
+    certainty *= factor
+    return certainty * factor, certainty * light
 
 
 @dataclass(frozen=True)
 class Patches:
-    """Square patches of pixels over which the functions of a basis hardly vary.
+    """Square patches of cells over which the functions of a basis hardly vary.
 
     Attributes
     ----------
     basis : MultiscaleBasis
-    membership : csr_array of float32, shape (patches, N)
-        1 where a pixel belongs to a patch. A patch's side is a quarter of its finest function's
-        scale, between 1 and 8 pixels.
+    membership : csr_array of float32, shape (patches, M')
+        1 where a cell belongs to a patch. A patch's side is a quarter of its finest function's
+        scale, between 1 and 8 cells.
     values : csr_array of float32, shape (patches, n)
         Mean of each function over each patch.
     transposed_values : csr_array of float32, shape (n, patches)
@@ -212,7 +239,7 @@ class Patches:
 
 
 def patches_of(basis: MultiscaleBasis) -> Patches:
-    """Divide the ray domain of a basis into patches."""
+    """Divide the grid of a basis into patches."""
     from scipy.sparse import csr_array, diags_array
 
     weights = basis.weights
@@ -255,22 +282,15 @@ class CoreProblem:
 
     @classmethod
     def from_data(cls, patches: Patches, data: ChannelData) -> CoreProblem:
-        """Sum the data of pixels over patches, picture by picture."""
-        count, membership = len(data.lit), patches.membership
-        light = np.empty((len(patches.basis), count + 1), np.float32)
-        dark_weight, lit_weight, dark_data, lit_data = (
-            np.empty((membership.shape[0], count), np.float32) for _ in range(4)
-        )
-        for index, lit in enumerate(data.lit):
-            light[:, index] = patches.basis.sums @ (lit * data.factor)
-            weight, weighted = data.weight[index], data.weighted[index]
-            dark_weight[:, index] = membership @ (weight * ~lit)
-            lit_weight[:, index] = membership @ (weight * lit)
-            dark_data[:, index] = membership @ (weighted * ~lit)
-            lit_data[:, index] = membership @ (weighted * lit)
-        light[:, count] = patches.basis.sums @ data.factor
+        """Sum the data of cells over patches."""
+        basis, membership = patches.basis, patches.membership
+        light = basis.sums @ np.concatenate([data.light, data.factor[None]]).T
+        lit_data = membership @ data.lit_data.T
         full = -lit_data.sum(axis=1, keepdims=True)
-        weighted = np.concatenate([dark_data + lit_data, full], axis=1)
+        weighted = np.concatenate([membership @ data.dark_data.T + lit_data, full], axis=1)
+        dark_weight, lit_weight = (
+            membership @ weight.T for weight in (data.dark_weight, data.lit_weight)
+        )
         return cls(patches, light, dark_weight, lit_weight, weighted)
 
     def solve(

@@ -41,8 +41,9 @@ from rfpipe.methods.images import Pictures
 from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import SmoothModel, light_range, near_far_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
+from rfpipe.methods.near_far.pictures import SplitPictures, fit_cells
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, coaxial_projector
-from rfpipe.methods.states import without_prefix
+from rfpipe.methods.states import joined, without_prefix
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.multiscale import coarsest_scale
@@ -96,13 +97,19 @@ class NearFarModel:
         origin = light_range(self.shape, self.smooth, self.floodlit.floodlit)
         return probe_patterns(self.shape, key, count, origin)
 
-    def fit(self, pictures: Pictures) -> Self:
+    def prepared(self, pictures: Pictures) -> SplitPictures:
+        """Sum up the lit and the dark pixels of cells."""
+        return SplitPictures.of(fit_cells(self.shape), self.floodlit, pictures)
+
+    def fit(self, pictures: Sequence[SplitPictures]) -> Self:
         """Fit the indirect light to all pictures."""
         # one solution for each scale, two for the sum of the channels, one for each of several
-        single_channels = pictures.channels if pictures.channels > 1 else 0
+        probes = joined(pictures, axis=0).probes
+        single_channels = probes.channels if probes.channels > 1 else 0
         solutions = round(log2(coarsest_scale(self.shape))) + 2 + single_channels
         with steps("smooth light", solutions):
-            return replace(self, smooth=fit_smooth_model(self.shape, pictures))
+            smooth = fit_smooth_model(fit_cells(self.shape), self.floodlit, probes)
+            return replace(self, smooth=smooth)
 
     def transport(
         self,
@@ -130,6 +137,7 @@ class NearFarState(AdaptiveState):
     """State of a near/far acquisition."""
 
     hierarchy_method = "symmetric"
+    pictures_type = SplitPictures
 
     model: NearFarModel | None = None
 
@@ -142,24 +150,20 @@ class NearFarState(AdaptiveState):
         return merged(
             parts,
             {"model_functions": smooth.functions, "model_cores": smooth.cores},
-            model_shape=list(smooth.shape),
+            has_model=True,
         )
 
     @classmethod
     def from_arrays(cls, start: Self, levels: Sequence[StateArrays]) -> Self:
         """Restore the state."""
         state = super().from_arrays(start, levels)
-        if state.pictures is None:
+        if state.floodlit is None:
             return state
-        smooth, level = None, latest("model_shape", levels)
+        smooth, level = None, latest("has_model", levels)
         if level is not None:
             arrays = without_prefix("model_", level.arrays)
-            smooth = SmoothModel(level.attributes["model_shape"], **arrays)
-        return replace(state, model=_model(state, state.pictures, smooth))
-
-
-def _model(state: AdaptiveState, pictures: Pictures, smooth: SmoothModel | None) -> NearFarModel:
-    return NearFarModel(pictures.select(slice(0, 1)), state.projector.shape, smooth)
+            smooth = SmoothModel(fit_cells(state.projector.shape), **arrays)
+        return replace(state, model=NearFarModel(state.floodlit, state.projector.shape, smooth))
 
 
 class NearFar(AdaptiveMethod):
@@ -190,7 +194,7 @@ class NearFar(AdaptiveMethod):
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> NearFarModel:
         """Make the model without indirect light."""
-        return _model(state, floodlit, None)
+        return NearFarModel(floodlit, state.projector.shape)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Give masked pixels the radiance of the nearest known pixel: they light others, too."""

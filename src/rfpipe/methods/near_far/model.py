@@ -14,7 +14,8 @@ symbol  name in the code      shape         meaning and unit
 ``T``   `near_far_transport`  (N, N)        light transport of a channel, radiance
 ``d``   `direct`              (C, N)        direct light, radiance
 ``F``   `floodlit`            (C, N)        floodlit image, radiance
-``B``   `basis`               (N, n)        values of n functions on N rays, no unit
+``B``   `basis`               (N, n)        values of n functions on N rays, no unit; constant over
+                                            each of the `cells`
 ``S``   `cores`               (C, pairs)    one entry for each pair of functions, inverse radiance
 ======  ====================  ============  ========================================================
 
@@ -40,6 +41,7 @@ from rfpipe.transport.base import Transport
 from rfpipe.transport.low_rank import LowRankTransport
 from rfpipe.transport.multiscale import MultiscaleBasis, MultiscaleTransport, relight_smooth
 from rfpipe.transport.sum import SumTransport
+from rfpipe.transport.wavelet import Cells
 
 
 @dataclass(frozen=True)
@@ -48,22 +50,22 @@ class SmoothModel:
 
     Attributes
     ----------
-    shape : sequence of int
-        The ray domain.
+    cells : Cells
+        Cells of rays over which the functions are constant.
     functions : ndarray of int32, shape (n, 4)
-        The functions B, see `MultiscaleBasis`.
+        The functions B over the grid of cells, see `MultiscaleBasis`.
     cores : ndarray of float32, shape (C, pairs)
         S, in inverse radiance.
     """
 
-    shape: Sequence[int]
+    cells: Cells
     functions: FunctionTable
     cores: Float
 
     @cached_property
     def basis(self) -> MultiscaleBasis:
-        """The functions B and their pairs."""
-        return MultiscaleBasis(tuple(self.shape), self.functions)
+        """The functions B, over the grid of cells, and their pairs."""
+        return MultiscaleBasis(self.cells.grid_shape, self.functions)
 
 
 @dataclass(frozen=True)
@@ -101,7 +103,7 @@ def light_range(shape: tuple[int, ...], model: SmoothModel, floodlit: Float) -> 
     moments = np.stack([np.ones_like(row), row, column, square]).astype(np.float32)
     basis = model.basis
     images = [
-        relight_smooth(basis, basis.pairs, cores, factor, moments)
+        relight_smooth(model.cells, basis, basis.pairs, cores, factor, moments)
         for cores, factor in zip(model.cores, floodlit, strict=True)
     ]
     # float64: sums of large squares cancel
@@ -173,6 +175,7 @@ def _smooth_parts(
         if not pairs.any():
             continue
         arrays = {
+            "side": np.array([model.cells.side], np.int32),
             "factor": pictures.floodlit,
             "functions": basis.functions,
             "pairs": np.stack([basis.first[pairs], basis.second[pairs]]),

@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Float
-from rfpipe.methods.images import relight_white
+from rfpipe.methods.images import batches, relight_white
 from rfpipe.methods.residual.cell_data import CellData, cell_data
 from rfpipe.methods.residual.model import CameraCells, CellPictures, ProjectorCells, Residual
 from rfpipe.methods.residual.posterior import PairExchange, Posterior
@@ -38,8 +38,6 @@ _STEPS, _STEPS_FROM_ESTIMATE, _ITERATIONS, _NOISE_SCALE = 6, 3, 8, 8
 # Largest number of pictures in the fit: the time grows with its square, and so does the memory, to
 # 1.3 GB for 4096 cells.
 _MOST_PICTURES = 512
-# Pictures that are relit at a time.
-_BATCH = 64
 # Error of each picture that is assumed in any case, relative to the brightest floodlit pixel.
 _MODEL_ERROR = 5e-4
 # Change of the norm of a picture that removing small cores may cause.
@@ -118,8 +116,10 @@ def _fitted_pictures(
     residual, variance : ndarray of float32, shape (chosen, C, M')
         The variance includes the assumed error of a picture.
     """
-    batches = np.split(pictures.lit, range(_BATCH, len(pictures.lit), _BATCH))
-    predicted = [camera.fitted_to_cells(relight_white(model, lit)) for lit in batches]
+    predicted = [
+        camera.fitted_to_cells(relight_white(model, pictures.lit[first:last]))
+        for first, last in batches(len(pictures.lit), camera.factor.size)
+    ]
     residual = pictures.radiance - np.concatenate(predicted)
     model_variance = np.square(np.float32(_MODEL_ERROR) * camera.brightest)
     variance = pictures.variance + model_variance[:, None]

@@ -40,7 +40,7 @@ symbol     name in the code    shape         meaning and unit
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -61,6 +61,7 @@ MOST_CELLS = 4096
 _DIM_LIGHT = 0.02
 
 
+@lru_cache(maxsize=4)
 def residual_cells(shape: tuple[int, ...]) -> Cells:
     """Divide a ray domain into the smallest cells of which there are at most `MOST_CELLS`."""
     return Cells(shape, cell_side(shape, MOST_CELLS))
