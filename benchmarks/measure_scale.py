@@ -35,10 +35,12 @@ from rfpipe.stages.rig_sources import GivenRig
 from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.storage.files import FolderStorage
 from rfpipe.store.files import write_atomically
+from rfpipe.transport.wavelet import cell_side
 
 MEASURED = Path(__file__).parents[1] / "docs" / "scale" / "measured.csv"
 _SEED = 3000  # of the relit pictures, which no method uses
 _MEMORY_GIB = 4.0
+_MOST_PATCHES = 2**17  # a scene of more points takes minutes and gigabytes
 
 
 @dataclass(frozen=True)
@@ -96,16 +98,33 @@ def _scene(case: Case) -> Any:
     """Make the scene of a case, once in a process."""
     from rfpipe.scenes.light_field import room_scene
     from rfpipe.scenes.pinholes import Pinhole
-    from rfpipe.scenes.rooms import planes_scene, reference_scene
+    from rfpipe.scenes.rooms import planes_scene
 
     if case.kind == "wedge":
-        return reference_scene("IV", case.camera, channels=case.channels)
+        return _wedge(case.camera, case.channels)
     if case.kind == "room":
         surfaces = ("texture", "white", "white")
         return room_scene(surfaces, case.camera, views=case.views, channels=case.channels)
     projector = Pinhole(case.projector, position=(0.4, -0.1, 0.0), look_at=(0.0, 0.0, 3.0))
     surfaces = ("texture", "texture")
     return planes_scene("wedge", surfaces, case.camera, projector=projector, channels=case.channels)
+
+
+def _wedge(shape: tuple[int, int], channels: int) -> Any:
+    """Make scene IV; of large images indirect light is computed between patches of pixels."""
+    from rfpipe.scenes.geometries import GEOMETRIES
+    from rfpipe.scenes.pinholes import surface_points
+    from rfpipe.scenes.radiosity import RadiosityScene
+    from rfpipe.scenes.rooms import reference_scene
+
+    scene = reference_scene("IV", shape, channels=channels)
+    side = cell_side(shape, _MOST_PATCHES)
+    if side == 1:
+        return scene
+    (_, *grid), patch_of_point = RayDomain(shape).square_cells(side)
+    patches = surface_points((grid[0], grid[1]), GEOMETRIES["wedge"]), patch_of_point
+    name = f"{scene.name}, indirect light between patches of {side} x {side} pixels"
+    return RadiosityScene(scene.points, scene.albedo, scale=scene.scale, patches=patches, name=name)
 
 
 @cache

@@ -38,22 +38,20 @@ class ViewPictures(ABC):
 
     M is the number of camera pixels, N the number of projector pixels of the view, P the number of
     pictures of patterns on the view.
+
+    Attributes
+    ----------
+    patterns : ndarray of float32, shape (N, P)
+        p: weight of each projector pixel in each pattern, 0 to 1.
+    radiance : ndarray of float32, shape (M, P)
+        c, 0 where a pixel is unknown.
+    variance : ndarray of float32, shape (M, P)
+        Infinite where a pixel is unknown.
     """
 
-    @property
-    @abstractmethod
-    def patterns(self) -> Float:
-        """p: weight of each projector pixel in each pattern, 0 to 1, (N, P)."""
-
-    @property
-    @abstractmethod
-    def radiance(self) -> Float:
-        """c, 0 where a pixel is unknown, (M, P)."""
-
-    @property
-    @abstractmethod
-    def variance(self) -> Float:
-        """Variance of c, infinite where a pixel is unknown, (M, P)."""
+    patterns: Float
+    radiance: Float
+    variance: Float
 
     @abstractmethod
     def first(self) -> tuple[Float, Float]:
@@ -197,19 +195,19 @@ class PackedView(ViewPictures):
     rays: slice
 
     @property
-    def patterns(self) -> Float:
+    def patterns(self) -> Float:  # type: ignore[override]
         """p: weight of each projector pixel in each pattern, 0 or 1, (N, P)."""
         lit = np.concatenate([picture.lit for picture in self.pictures])
         lit = np.unpackbits(lit, axis=1, count=self.rays.stop)[:, self.rays]
         return np.ascontiguousarray(lit.T, np.float32)
 
     @property
-    def radiance(self) -> Float:
+    def radiance(self) -> Float:  # type: ignore[override]
         """c, 0 where a pixel is unknown, (M, P)."""
         return np.stack([self._radiance(it, slice(None)) for it in self.pictures], axis=1)
 
     @property
-    def variance(self) -> Float:
+    def variance(self) -> Float:  # type: ignore[override]
         """Variance of c, infinite where a pixel is unknown, (M, P)."""
         return np.stack([self._variance(it, slice(None)) for it in self.pictures], axis=1)
 
