@@ -40,6 +40,7 @@ from rfpipe.transport.wavelet import cell_side
 MEASURED = Path(__file__).parents[1] / "docs" / "scale" / "measured.csv"
 _SEED = 3000  # of the relit pictures, which no method uses
 _MEMORY_GIB = 4.0
+_ROOM = ("texture", "white", "white")
 _MOST_PATCHES = 2**17  # a scene of more points takes minutes and gigabytes
 
 
@@ -103,8 +104,7 @@ def _scene(case: Case) -> Any:
     if case.kind == "wedge":
         return _wedge(case.camera, case.channels)
     if case.kind == "room":
-        surfaces = ("texture", "white", "white")
-        return room_scene(surfaces, case.camera, views=case.views, channels=case.channels)
+        return room_scene(_ROOM, case.camera, views=case.views, channels=case.channels)
     projector = Pinhole(case.projector, position=(0.4, -0.1, 0.0), look_at=(0.0, 0.0, 3.0))
     surfaces = ("texture", "texture")
     return planes_scene("wedge", surfaces, case.camera, projector=projector, channels=case.channels)

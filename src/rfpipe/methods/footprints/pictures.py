@@ -227,13 +227,15 @@ class PackedView(ViewPictures):
 
     def _radiance(self, picture: PackedPictures, pixels: slice | Index) -> Float:
         """Return the radiance of a picture at some pixels, (m,)."""
-        planes: Float = picture.radiance[0, self.channels][:, pixels]
-        return planes.sum(axis=0, dtype=np.float32)
+        planes = picture.radiance[0, self.channels][:, pixels]
+        total: Float = planes.sum(axis=0, dtype=np.float32)
+        return total
 
     def _variance(self, picture: PackedPictures, pixels: slice | Index) -> Float:
         """Return the variance of a picture at some pixels, (m,)."""
-        planes: Float = _VARIANCES[picture.variance[0, self.channels][:, pixels]]
-        return planes.sum(axis=0)
+        planes = _VARIANCES[picture.variance[0, self.channels][:, pixels]]
+        total: Float = planes.sum(axis=0)
+        return total
 
 
 def radiance_unit(floodlit: Pictures) -> float:
