@@ -23,7 +23,6 @@ from rfpipe.provenance import generator
 from rfpipe.stages.plan import Plan
 from rfpipe.store import StoreLock
 
-KILLS = 15
 # Processes that have loaded all modules, but have run nothing yet.
 FORKS = multiprocessing.get_context("forkserver")
 FORKS.set_forkserver_preload(
@@ -79,15 +78,18 @@ def test_a_second_process_is_refused_for_one_acquisition(tmp_path: Path) -> None
     assert not (tmp_path / "mine").exists()
 
 
-def test_an_acquisition_killed_at_any_time_ends_with_the_same_bytes(tmp_path: Path) -> None:
+@pytest.mark.parametrize("kills", [5, pytest.param(15, marks=pytest.mark.slow)])
+def test_an_acquisition_killed_at_any_time_ends_with_the_same_bytes(
+    tmp_path: Path, kills: int
+) -> None:
     acquire(tmp_path / "first", rig())  # loads all modules
     began = perf_counter()
     acquire(tmp_path / "whole", rig())
     seconds = perf_counter() - began
     expected = stored(tmp_path / "whole")
     killed: set[str] = set()
-    for number, moment in enumerate(generator(8).uniform(0, 1, KILLS)):
-        share = (number + moment) / KILLS
+    for number, moment in enumerate(generator(8).uniform(0, 1, kills)):
+        share = (number + moment) / kills
         path = tmp_path / str(number)
         if not _ends_before(path, share * seconds):
             killed.add(_stage_under_way(path))

@@ -10,6 +10,7 @@ rule acquire:
         "results/{scene}/{method}/acquire.log",
     benchmark:
         "results/{scene}/{method}/acquire.benchmark.tsv"
+    priority: rays
     localrule: CAPTURED_HERE
     conda:
         "../envs/rfpipe.yaml"

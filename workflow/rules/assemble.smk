@@ -8,6 +8,7 @@ rule assemble:
         "results/{scene}/{method}/assemble.log",
     benchmark:
         "results/{scene}/{method}/assemble.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     resources:

@@ -8,6 +8,7 @@ rule capture_simulated:
         "results/{scene}/{method}/L{level}/capture.log",
     benchmark:
         "results/{scene}/{method}/L{level}/capture.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     threads: threads

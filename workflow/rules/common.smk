@@ -1,6 +1,7 @@
 # The validated settings, and functions that select those of each rule.
 
 from functools import cache, partial
+from math import prod
 from pathlib import Path
 
 import rfpipe
@@ -113,6 +114,11 @@ def all_cores(wildcards):
 def threads(wildcards):
     """Cores of a job: their number over that of the acquisitions, which run side by side."""
     return max(1, all_cores(wildcards) // len(SETTINGS.acquisitions))
+
+
+def rays(wildcards):
+    """Number of a scene's rays: the jobs of the largest begin first, the others run beside them."""
+    return prod(SETTINGS.scenes[wildcards.scene].ray_shape)
 
 
 cached_settings = cache(partial(stage_settings, SETTINGS))

@@ -8,6 +8,7 @@ rule merge:
         "results/{scene}/{method}/L{level}/merge.log",
     benchmark:
         "results/{scene}/{method}/L{level}/merge.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     threads: threads

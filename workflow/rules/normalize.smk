@@ -8,6 +8,7 @@ rule normalize:
         "results/{scene}/{method}/L{level}/normalize.log",
     benchmark:
         "results/{scene}/{method}/L{level}/normalize.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     resources:

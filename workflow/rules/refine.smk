@@ -8,6 +8,7 @@ rule refine:
         "results/{scene}/{method}/L{level}/refine.log",
     benchmark:
         "results/{scene}/{method}/L{level}/refine.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     threads: threads

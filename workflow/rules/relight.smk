@@ -8,6 +8,7 @@ rule relight:
         "results/{scene}/{method}/relight.log",
     benchmark:
         "results/{scene}/{method}/relight.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     resources:

@@ -8,6 +8,7 @@ checkpoint schedule:
         "results/{scene}/{method}/L{level}/schedule.log",
     benchmark:
         "results/{scene}/{method}/L{level}/schedule.benchmark.tsv"
+    priority: rays
     conda:
         "../envs/rfpipe.yaml"
     resources:
