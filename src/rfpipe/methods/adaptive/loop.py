@@ -178,6 +178,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def transport(self, state: AdaptiveState) -> Transport:
         """Return the transport that predicts the held-out pictures best."""
+        if state.residual is None and state.hierarchy_state is None:
+            return self._model(state).transport(list(state.rows))  # the only one
         return self._best(state).transport
 
     def transport_of_unlit_rays(self, state: AdaptiveState) -> Transport:
