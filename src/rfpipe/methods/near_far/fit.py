@@ -72,7 +72,7 @@ _MODEL_ERROR = 0.002
 # Largest number of pairs of functions; to find them takes 1 GB of memory.
 _MOST_PAIRS = 2**24
 # Tolerance and largest number of iterations of conjugate gradients.
-_COARSE, _FIRST, _FINAL, _CHANNEL = (3e-3, 60), (1e-3, 120), (1.5e-4, 300), (3e-4, 300)
+_COARSE, _FIRST, _FINAL, _CHANNEL = (3e-3, 60), (1e-3, 120), (2e-4, 300), (1e-3, 300)
 
 
 def fit_smooth_model(cells: Cells, floodlit: Pictures, pictures: SplitPictures) -> SmoothModel:
