@@ -36,7 +36,7 @@ from rfpipe.transport.base import Transport
 # and the factor of the variances in it.
 _STEPS, _STEPS_FROM_ESTIMATE, _ITERATIONS, _NOISE_SCALE = 6, 3, 8, 8
 # Largest number of pictures in the fit: the time grows with its square, and so does the memory, to
-# 1.3 GB for 4096 cells.
+# 0.7 GB for 4096 cells.
 _MOST_PICTURES = 512
 # Error of each picture that is assumed in any case, relative to the brightest floodlit pixel.
 _MODEL_ERROR = 5e-4
