@@ -227,8 +227,9 @@ def _png(figure: Figure) -> bytes:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
 
     buffer = io.BytesIO()
+    canvas: Any = FigureCanvasAgg(figure)
     with _resolution(figure, _PIXEL_RATIO * figure.dpi):
-        FigureCanvasAgg(figure).print_png(buffer, metadata={"Software": None})
+        canvas.print_png(buffer, metadata={"Software": None})
     return buffer.getvalue()
 
 
@@ -238,10 +239,11 @@ def pdf_of(figure: Figure) -> bytes:
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
 
     buffer = io.BytesIO()
-    metadata: Any = {"Creator": None, "Producer": None, "CreationDate": None}
-    fonts = {"pdf.fonttype": 42}  # TrueType fonts: accepted by publishers, searchable
+    metadata = {"Creator": None, "Producer": None, "CreationDate": None}
+    canvas: Any = FigureCanvasPdf(figure)
+    fonts: Any = {"pdf.fonttype": 42}  # TrueType fonts: accepted by publishers, searchable
     with rc_context(fonts), _resolution(figure, _PRINT_DPI):
-        FigureCanvasPdf(figure).print_pdf(buffer, metadata=metadata)
+        canvas.print_pdf(buffer, metadata=metadata)
     return buffer.getvalue()
 
 
