@@ -50,17 +50,16 @@ def by_target(benchmark: Path) -> str:
     rows = newest(benchmark)
     rows = rows[(rows["method"] == AUTO) & (rows["side"] == SIDE) & (rows["status"] == "done")]
     rows = rows[rows["code"] == rows["code"].iloc[-1]]
-    rows = rows.assign(is_test=rows["held_out_scene"].astype(bool))
     lines = []
     for light, target in product(CAMERAS, sorted(set(rows["value"]), reverse=True)):
         setting = rows[(rows["light"] == light) & (rows["value"] == target)]
         if 2 * setting["scene"].nunique() < rows["scene"].nunique():
             continue
         # one number of each scene, whatever the number of its seeds
-        of_scenes = setting.groupby(["is_test", "scene"])[_COSTS].median()
-        for is_test, of_section in of_scenes.groupby("is_test"):
-            section = f"{len(of_section)} {'test' if is_test else 'tuning'}"
-            lines.append([light, f"{100 * target:g} %", section, *_cells(of_section.median())])
+        of_scenes = setting.groupby(["what", "scene"])[_COSTS].median()
+        for what, of_kind in of_scenes.groupby("what"):
+            scenes = f"{len(of_kind)} {what}"
+            lines.append([light, f"{100 * target:g} %", scenes, *_cells(of_kind.median())])
     head = ["light", "target", "scenes", "pictures (patterns)", "minutes on the rig",
             f"scenes in {_HOURS} hours", "processing, min"]  # fmt: skip
     return markdown(head, lines)

@@ -317,8 +317,8 @@ def plan(
 
     Pictures are all brackets that the rig takes: references, symmetry test, patterns, check and
     verification pictures. The number of patterns is estimated from target_error or tolerance. For
-    auto, near_far and footprints, two of three tuning scenes of docs/benchmark.md needed 0.67 to
-    1.5 times the estimate, scenes with glass, mirrors and gloss 2 to 10 times. "at most" counts all
+    auto, near_far and footprints, 55 % of the tuning scenes of docs/benchmark.md needed 0.67 to 1.5
+    times the estimate, scenes with glass, mirrors and gloss 2 to 10 times. "at most" counts all
     rounds of the method. Time is that of the pictures on a rig; disk space is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
