@@ -246,7 +246,7 @@ def measure(case: Case, folder: Path) -> dict[str, Any]:
         "channels": case.channels,
         "target_percent": 100 * case.target,
         "patterns": sum(facts["patterns"] for facts in captured),
-        "estimate_percent": 100 * state["estimates"][-1]["error"],
+        "estimate_percent": 100 * state["rows"][-1]["estimated_error"],
         "error_percent": 100 * rows[-1]["error"],
         "processor_s": table["processor_s"].sum(),
         "refine_s": refine["processor_s"].sum(),

@@ -159,10 +159,8 @@ def fit_model(
     """
     problem = _problem(camera, projector, grey, limits)
     footprints = previous if previous is not None else _first_footprints(problem)
-    light = _fit_indirect(problem, footprints)
-    footprints = _search_footprints(problem, footprints, light)
-    if previous is None:
-        light = _fit_indirect_again(problem, footprints, light)
+    for _ in range(1 if previous is not None else 2):
+        light = _fit_indirect(problem, footprints)
         footprints = _search_footprints(problem, footprints, light)
     footprints = _prepare_last_fit(grey, footprints)
     combined = _fit_parts(grey, footprints, light, problem.camera_rays, _SUM)
@@ -362,27 +360,6 @@ def _fit_indirect(problem: _Problem, footprints: Candidates) -> IndirectLight:
 
     light = coarse_to_fine(start.chart.shape, fit, cells_to_refine)
     return fit_cores(light, data, light.learned_deviations(), BEST)
-
-
-def _fit_indirect_again(
-    problem: _Problem, footprints: Candidates, previous: IndirectLight
-) -> IndirectLight:
-    """Fit S after another search.
-
-    With several projector views the functions stay, and the fit starts from the previous one: their
-    places on the chart hardly change, and a fit from coarse to fine takes most of the time. Where
-    the chart has another shape, and with one view, the functions are chosen anew.
-    """
-    chart = previous.basis.camera.shape
-    if len(problem.grey) == 1 or _chart(problem, footprints).shape != chart:
-        return _fit_indirect(problem, footprints)
-    start = _start(problem, footprints)
-    functions = start.chart.basis(previous.basis.camera.functions)
-    basis = IndirectBasis(functions, problem.projector, start.mapping)
-    light = replace(previous, basis=basis, camera_factor=start.f, projector_factor=start.g)
-    for accuracy in (GOOD, BEST):
-        light = fit_cores(light, start.data, light.learned_deviations(), accuracy)
-    return light
 
 
 class _Start(NamedTuple):

@@ -36,12 +36,12 @@ from rfpipe.methods.adaptive.loop import (
     hierarchy_rounds,
 )
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
-from rfpipe.methods.base import StateArrays
+from rfpipe.methods.base import LIBRARY_BYTES, Forecast, StateArrays
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import SmoothModel, light_range, near_far_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
-from rfpipe.methods.near_far.pictures import SplitPictures, fit_cells
+from rfpipe.methods.near_far.pictures import MOST_CELLS, SplitPictures, fit_cells
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, coaxial_projector
 from rfpipe.methods.states import joined, without_prefix
 from rfpipe.steps import steps
@@ -58,6 +58,9 @@ leaves 2 to 8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."
 
 # Mean errors are 1 to 3 tolerances of symmetric photography; the residual halves them.
 HIERARCHY = HierarchyCost(patterns=30.0, power=0.55, tolerance=0.6)
+
+# Memory of a pixel and channel outside the fit: floodlit and held-out pictures, and relit ones.
+_IMAGE_VALUE_BYTES = 150
 
 _NOISE = "the remaining error is noise of the floodlit image"
 
@@ -178,7 +181,7 @@ class NearFar(AdaptiveMethod):
     colour = "#b3263a"
     marker = "D"
     needs_coaxial_rig = True
-    bytes_per_ray = 10_000
+    bytes_per_ray: int = 10_000
     trials = (0.05, 0.01, 0.003)
     State = NearFarState
     hierarchy_cost = HIERARCHY
@@ -191,6 +194,14 @@ class NearFar(AdaptiveMethod):
             Phase.RESIDUAL: RESIDUAL_ROUNDS,
             **hierarchy_rounds(projector),
         }
+
+    def forecast_of(
+        self, camera: RayDomain, channels: int, patterns: int, max_patterns: int
+    ) -> Forecast:
+        """Forecast an acquisition of known numbers of patterns; a fit is of a limited size."""
+        fit_bytes = self.bytes_per_ray * min(camera.size, MOST_CELLS)
+        image_bytes = _IMAGE_VALUE_BYTES * channels * camera.size
+        return Forecast(patterns, max_patterns, LIBRARY_BYTES + fit_bytes + image_bytes)
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> NearFarModel:
         """Make the model without indirect light."""
