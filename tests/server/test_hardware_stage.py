@@ -56,6 +56,7 @@ def test_a_resampled_sensor_is_restored_from_its_capture(
 ) -> None:
     packed = open_transport(acquired.folder.path / "transport.zarr").pack("float32")
     settings = {"watch": "off", "verification": 0, "progress": False}
+    settings |= {"all_off_brackets": 8, "all_on_brackets": 64}
     result = acquire(ResampledRig(), "dual", tolerance=1e-3, **settings)  # type: ignore[arg-type]
     expected = result.transport.pack("float32")
     assert packed[1] == expected[1]

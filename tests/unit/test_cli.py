@@ -70,7 +70,7 @@ def test_plan_lists_each_acquisition_with_its_rays_and_patterns() -> None:
     planned = run("plan", CONFIG)
     assert "valid. 6 acquisitions. One job per stage, since a scene has 10,368 rays" in planned
     (room,) = (line.split() for line in planned.splitlines() if " auto " in line and "room" in line)
-    assert room[:5] == ["room", "auto", "10,368", "30", "2,527"]
+    assert room[:5] == ["room", "auto", "10,368", "33", "51"]
 
 
 def test_schema_equals_that_of_the_model() -> None:

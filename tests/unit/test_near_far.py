@@ -97,7 +97,7 @@ def test_a_scene_of_direct_light_takes_one_round_and_has_only_the_error_of_noise
     ones = np.ones(scene.shape, np.float32)
     truth = scene.apply(ones[None])[0].reshape(*scene.shape, 1)
     floodlit = relative_rms(noisy.transport.relight(ones), truth)
-    assert 0 < floodlit < 2e-3
+    assert 0 < floodlit < 5e-3  # as few all-on brackets as a target of 1 % needs
     assert max(errors(scene, noisy.transport)) < 1.5 * floodlit
 
 

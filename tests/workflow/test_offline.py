@@ -204,7 +204,7 @@ def test_patterns_are_as_the_projector_shows_them(level_0: Path) -> None:
     stated = json.loads((level_0 / "patterns.json").read_text())
     names = [entry["file"] for entry in stated["shown"]]
     assert [name[5:-4] for name in names] == [
-        *("marker",) * 2, *("black",) * 2, *("white",) * 2, *("random",) * 6, "pattern",
+        *("marker",) * 2, "black", *("white",) * 2, "black", *("random",) * 6, "pattern",
         *("verification",) * 3, "marker",
     ]  # fmt: skip
     white = oiio.ImageBuf(str(level_0 / names[4])).get_pixels(oiio.UINT8)[..., 0]
@@ -246,7 +246,7 @@ def rewritten(name: str, change: Any, seconds: float | None = None) -> Any:
         (rewritten("IMG_7.tif", lambda pixels: pixels.repeat(3, axis=2)), "has 3 channels"),
         (rewritten("IMG_7.tif", lambda pixels: pixels / np.float32(9)), "has light"),
         (rewritten("IMG_8.tif", lambda pixels: np.full_like(pixels, 65535)), "add a shorter one"),
-        (rewritten("IMG_9.tif", lambda pixels: np.full_like(pixels, 1000)), "lens cap"),
+        (rewritten("IMG_7.tif", lambda pixels: np.full_like(pixels, 1000)), "lens cap"),
         (swapped, "doesn't begin with the marker"),
     ],
 )
