@@ -156,9 +156,12 @@ class AdaptiveState(MethodState):
         return replace(self, rows=(*self.rows[:-1], {**self.rows[-1], **entries}))
 
     def with_estimate(self, estimate: Estimate) -> Self:
-        """Add an estimate, also to the last level's row."""
+        """Add an estimate, also to the last level's row.
+
+        An error of indirect light above 1 says that there is less of it than noise.
+        """
         entries = {"estimated_error": estimate.error}
-        if np.isfinite(estimate.indirect):
+        if estimate.indirect <= 1:
             entries["estimated_indirect"] = estimate.indirect
         return replace(self.with_row(**entries), estimates=(*self.estimates, estimate))
 
