@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from rfpipe.blocks import RayDomain
@@ -21,7 +22,6 @@ class Auto(MethodDescription):
     colour = "#2a2a2a"
     marker = "h"
     estimates_error = True
-    bytes_per_ray = 100_000
     Options = ErrorOptions
     trades = "target_error"
     trials = NearFar.trials
@@ -45,8 +45,11 @@ class Auto(MethodDescription):
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: ErrorOptions
     ) -> Forecast:
-        """Forecast the method of these ray domains; its bound is the larger one of both methods."""
+        """Forecast the method of these ray domains; its bound is the larger one of both methods.
+
+        The memory is that of a coaxial rig, unless the ray domains differ.
+        """
         methods = [self.for_rig(camera, projector, is_coaxial) for is_coaxial in (None, False)]
         forecasts = [method.forecast(camera, projector, channels, options) for method in methods]
         max_patterns = max(forecast.max_patterns for forecast in forecasts)
-        return self.forecast_of(camera, channels, forecasts[0].patterns, max_patterns)
+        return replace(forecasts[0], max_patterns=max_patterns)
