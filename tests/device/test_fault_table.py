@@ -179,7 +179,7 @@ class Desk:
             "scenes": {"desk": {"kind": "captured", "shape": [16, 16], "channels": 1}},
             "methods": {"symmetric": {}},
             "camera": {"exposures": list(CAMERA.exposures)},
-            "capture": {"rig": "offline", "all_off_brackets": 3, "all_on_brackets": 3},
+            "capture": {"rig": "offline"},
         }))  # fmt: skip
 
     def run(self, *arguments: object) -> str:

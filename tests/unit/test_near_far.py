@@ -109,8 +109,8 @@ def test_symmetric_photography_takes_over_where_no_light_is_smooth(
 ) -> None:
     matrix, shape = make(24), (24, 24)
     rig = OperatorRig(matrix, shape, shape, noise)
-    result = acquire(rig, "near_far", progress=False)
-    rival = acquire(rig, "symmetric", progress=False, tolerance=0.01)
+    result = acquire(rig, "near_far", progress=False, all_on_brackets=64)
+    rival = acquire(rig, "symmetric", progress=False, all_on_brackets=64, tolerance=0.01)
     # the first round, and with noise two rounds of blocks: the error is a third of the estimate,
     # which is the error that noise could hide
     blocks = 2 * RESIDUAL_ROUNDS[0] if noise else 0

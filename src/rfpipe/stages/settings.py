@@ -134,12 +134,12 @@ def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[
     plan = Plan.of(**plan_settings(config, scene, name))
     scene_config = config.of_scene(scene)
     capture = scene_config.capture
+    all_off = capture.all_off_brackets or capture.precautions.all_off_brackets
+    all_on = capture.all_on_brackets or capture.precautions.all_on_brackets
     settings = {
         "code": stage_code(config, scene, name),
-        "all_off_brackets": capture.all_off_brackets or capture.precautions.all_off_brackets,
-        "all_on_brackets": capture.all_on_brackets or capture.precautions.all_on_brackets,
-        "target_error": plan.target_error,
-        "expected_patterns": plan.expected_patterns,
+        "all_off_brackets": all_off,
+        "all_on_brackets": all_on,
         "symmetry_brackets": SYMMETRY_BRACKETS if plan.measures_symmetry else 0,
         "check_interval": capture.precautions.check_interval,
         "mask_defects": scene_config.merge.mask_defects,
@@ -149,6 +149,9 @@ def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[
         "number_format": scene_config.storage.number_format,
         "sources": user_sources(config, scene, name),
     }
+    if not (all_off and all_on):  # their number follows from these
+        settings["target_error"] = plan.target_error
+        settings["expected_patterns"] = plan.expected_patterns
     chosen = stages or tuple(SETTINGS_OF_STAGE)
     names = {name for stage in chosen for name in SETTINGS_OF_STAGE[stage]}
     return {name: value for name, value in settings.items() if name in names}
