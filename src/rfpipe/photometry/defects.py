@@ -37,61 +37,6 @@ class DefectMap:
     dead: int
 
 
-class DarkFrames:
-    """Mean, variance and range of all-off brackets, accumulated in batches.
-
-    Sums are float64, which is exact for counts, so that batches don't affect the result.
-
-    Attributes
-    ----------
-    count : int
-        Number of brackets.
-    smallest, largest : ndarray, shape (E, ...)
-        The smallest and the largest value of each sample, in the brackets' dtype.
-    """
-
-    def __init__(self) -> None:
-        self.count = 0
-        self._first = self._total = self._squares = np.zeros(0)
-        self.smallest: NDArray[Any] = np.zeros(0)
-        self.largest: NDArray[Any] = np.zeros(0)
-
-    @classmethod
-    def of(cls, frames: NDArray[Any]) -> DarkFrames:
-        """Accumulate brackets (K, E, ...)."""
-        dark = cls()
-        dark.add(frames)
-        return dark
-
-    def add(self, frames: NDArray[Any]) -> None:
-        """Add brackets (B, E, ...)."""
-        for bracket in frames:
-            if not self.count:
-                self._first = bracket.astype(np.float64)
-                self._total, self._squares = np.zeros((2, *bracket.shape))
-                self.smallest = self.largest = bracket
-            self._total += bracket
-            # relative to the first bracket, against rounding errors at a high black level
-            self._squares += np.square(bracket - self._first)
-            self.smallest, self.largest = (
-                np.minimum(self.smallest, bracket),
-                np.maximum(self.largest, bracket),
-            )
-            self.count += 1
-
-    @property
-    def mean(self) -> NDArray[np.float64]:
-        """Mean of each sample, shape (E, ...)."""
-        return np.asarray(self._total / self.count)
-
-    @property
-    def variance(self) -> NDArray[np.float64]:
-        """Variance of each sample between two or more brackets, shape (E, ...)."""
-        shift = self._total - self.count * self._first
-        spread = np.maximum(self._squares - np.square(shift) / self.count, 0)
-        return np.asarray(spread / (self.count - 1))
-
-
 class FrameRange:
     """Range of brackets of any patterns, accumulated one by one.
 
@@ -115,6 +60,47 @@ class FrameRange:
             self.smallest = bracket if is_first else np.minimum(self.smallest, bracket)
             self.largest = bracket if is_first else np.maximum(self.largest, bracket)
             self.count += 1
+
+
+class DarkFrames(FrameRange):
+    """Mean, variance and range of all-off brackets, accumulated in batches.
+
+    Sums are float64, which is exact for counts, so that batches don't affect the result.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._first = self._total = self._squares = np.zeros(0)
+
+    @classmethod
+    def of(cls, frames: NDArray[Any]) -> DarkFrames:
+        """Accumulate brackets (K, E, ...)."""
+        dark = cls()
+        dark.add(frames)
+        return dark
+
+    def add(self, frames: NDArray[Any]) -> None:
+        """Add brackets (B, E, ...)."""
+        for bracket in frames:
+            if not self.count:
+                self._first = bracket.astype(np.float64)
+                self._total, self._squares = np.zeros((2, *bracket.shape))
+            self._total += bracket
+            # relative to the first bracket, against rounding errors at a high black level
+            self._squares += np.square(bracket - self._first)
+            super().add(bracket[None])
+
+    @property
+    def mean(self) -> NDArray[np.float64]:
+        """Mean of each sample, shape (E, ...)."""
+        return np.asarray(self._total / self.count)
+
+    @property
+    def variance(self) -> NDArray[np.float64]:
+        """Variance of each sample between two or more brackets, shape (E, ...)."""
+        shift = self._total - self.count * self._first
+        spread = np.maximum(self._squares - np.square(shift) / self.count, 0)
+        return np.asarray(spread / (self.count - 1))
 
 
 def find_defects(dark: DarkFrames, lit: FrameRange, sensor: Sensor) -> DefectMap:

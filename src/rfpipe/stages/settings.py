@@ -136,7 +136,7 @@ def stage_settings(config: Config, scene: str, name: str, *stages: str) -> dict[
     capture = scene_config.capture
     all_off = capture.all_off_brackets or capture.precautions.all_off_brackets
     all_on = capture.all_on_brackets or capture.precautions.all_on_brackets
-    settings = {
+    settings: dict[str, Any] = {
         "code": stage_code(config, scene, name),
         "all_off_brackets": all_off,
         "all_on_brackets": all_on,
