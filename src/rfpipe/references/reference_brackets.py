@@ -39,6 +39,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools
 from rfpipe.methods.adaptive.decisions import SLOWEST_POWER
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.photometry.sensor import Sensor
@@ -71,13 +72,13 @@ class ReferenceCounts(NamedTuple):
     all_on: int
 
     @property
-    def is_off(self) -> list[bool]:
-        """Kind of each bracket of the set, in their order.
+    def is_off(self) -> Bools:
+        """Mask of the all-off brackets of the set, in the order of capture, bool (brackets,).
 
         Half of the all-off ones come last, so that a change of the room's light shows in them.
         """
         last = self.all_off // 2
-        return [True] * (self.all_off - last) + [False] * self.all_on + [True] * last
+        return np.repeat([True, False, True], [self.all_off - last, self.all_on, last])
 
 
 def counts_of_set(facts: Facts) -> ReferenceCounts:
@@ -165,7 +166,7 @@ def open_reference_brackets(storage: Storage) -> Iterator[ReferenceBrackets]:
     parts = [part for part in REFERENCE_PARTS if part in captured]
     with ExitStack() as stack:
         stores = [stack.enter_context(storage.pictures(0, "capture", part)) for part in parts]
-        kinds = [np.array(counts_of_set(captured[part]).is_off) for part in parts]
+        kinds = [counts_of_set(captured[part]).is_off for part in parts]
         all_off, all_on = (
             StoredBrackets(
                 tuple(

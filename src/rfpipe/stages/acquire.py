@@ -191,7 +191,6 @@ def acquire(
         target_error=plan.target_error,
         expected_patterns=plan.expected_patterns,
         symmetry_brackets=symmetry_brackets if plan.measures_symmetry else 0,
-        # precautions of simulated rigs have no interval; the caller may set `watch` nevertheless
         # a simulated rig has no interval; a caller who sets `watch` gets check pictures even so
         check_interval=precautions.check_interval or PRECAUTIONS["remote"].check_interval,
         watch=watch,

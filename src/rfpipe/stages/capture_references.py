@@ -108,7 +108,7 @@ def reference_patterns(
 
     The keys continue those of the reference brackets `before` the set.
     """
-    is_off = np.array(counts.is_off)
+    is_off = counts.is_off
     number = np.where(is_off, np.cumsum(is_off), np.cumsum(~is_off)) - 1
     patterns = np.zeros((last - first, *projector_shape), np.float32)
     patterns[~is_off[first:last]] = 1
@@ -155,7 +155,7 @@ def _further_counts(
 ) -> ReferenceCounts:
     """Compute the numbers of further brackets from the noise of those `before` them."""
     with storage.partial_brackets(0, REFERENCE_BRACKETS) as store:
-        brackets, is_off = store.read(0, sum(before)), np.array(before.is_off)
+        brackets, is_off = store.read(0, sum(before)), before.is_off
     noise = ReferenceNoise.of(sensor, brackets[is_off], brackets[~is_off])
     needed = noise.needed(settings.target_error, settings.expected_patterns)
     return ReferenceCounts(
