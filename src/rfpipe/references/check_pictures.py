@@ -22,8 +22,8 @@ from rfpipe.storage.base import CHECK_PICTURES, Storage, scheduled_levels
 def check_picture_count(patterns: int, interval: int) -> int:
     """Return the number of check pictures of a level.
 
-    One is taken before the first pattern and after each `interval`. What happens during the last
-    patterns shows in the next level's first check picture, or in that of the verification.
+    One is taken before the first pattern and after each `interval`. A change during the last
+    patterns shows in the first check picture of the next level, or of the verification.
     """
     return patterns // interval + 1 if patterns else 0
 

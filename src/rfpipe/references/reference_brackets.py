@@ -1,9 +1,9 @@
 """Reference brackets: how many all-off and all-on brackets an acquisition takes, and their reading.
 
 The floodlit image is the mean of the all-on brackets. Its noise becomes the noise of the direct
-light of every relit picture; that of the all-off brackets is part of all pictures. An acquisition
-begins with few reference brackets. The merge of these predicts how noisy one more is, and the
-acquisition takes as many as make one more bracket worth one more pattern.
+light of every relit picture; the noise of the all-off brackets is part of all pictures. An
+acquisition begins with few reference brackets. The merge of these predicts how noisy one more is,
+and the acquisition takes as many as make one more bracket worth one more pattern.
 
 The error e of a method that shows p patterns falls with a power of p. With n brackets of the
 relative noise h, the target t is met by

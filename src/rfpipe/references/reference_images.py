@@ -230,11 +230,11 @@ def measure_references(sensor: Sensor, storage: Storage, mask_defects: bool) -> 
 
 def _further_lit(storage: Storage) -> Iterator[Brackets]:
     """Read the random patterns of the symmetry test, and the first patterns of level 0."""
-    for part in (SYMMETRY, None):
-        if part is None or part in storage.read_manifest(0, "capture"):
-            with storage.pictures(0, "capture", part) as store:
-                for index in range(min(store.shape[0], _MOST_FURTHER)):
-                    yield store.read(index, index + 1)
+    has_symmetry = SYMMETRY in storage.read_manifest(0, "capture")
+    for part in (SYMMETRY, None) if has_symmetry else (None,):
+        with storage.pictures(0, "capture", part) as store:
+            count = min(store.shape[0], _MOST_FURTHER)
+            yield from (store.read(index, index + 1) for index in range(count))
 
 
 def write_references(storage: Storage, references: ReferenceImages) -> dict[str, Any]:

@@ -52,7 +52,7 @@ def first_reference_set(
 
 
 def reference_goal(settings: AcquisitionSettings, *, is_exact: bool) -> Facts:
-    """Return what the number of reference brackets follows from; empty if it is given."""
+    """Return the target from which the number of brackets follows; empty for a given number."""
     if is_exact or (settings.all_off_brackets and settings.all_on_brackets):
         return {}
     goal = {
@@ -106,7 +106,7 @@ def reference_patterns(
 ) -> tuple[NDArray[np.float32], Keys]:
     """Return patterns ``first:last`` of a set, all-off or all-on, and their keys.
 
-    The keys continue those of the reference brackets `before` the set.
+    The numbers in the keys continue after the reference brackets `before` the set.
     """
     is_off = counts.is_off
     number = np.where(is_off, np.cumsum(is_off), np.cumsum(~is_off)) - 1

@@ -124,8 +124,8 @@ def _remaining_variance(posterior: Posterior, prior: Float) -> Float:
 def _significant(data: CellData, prior: Float) -> Float:
     """Set the prior variances to 0 that together explain at most 1 % of the expected light.
 
-    The prior expects of a pair the energy ``V |l_w|^2`` in the pictures, of a pair of a coaxial rig
-    that of either direction.
+    In the pictures the prior expects the energy ``V |l_w|^2`` of a pair; on a coaxial rig, the sum
+    of the energies in both directions.
     """
     power = np.square(data.light).sum(axis=1)
     expected = prior * (power + power[:, None] if data.is_symmetric else power)
