@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import sys
+from multiprocessing.queues import SimpleQueue
 from pathlib import Path
-from time import perf_counter
 
 import numpy as np
 import pytest
@@ -35,6 +37,7 @@ FORKS.set_forkserver_preload(
         "zarr",
     ]
 )
+FILE_OPERATIONS = {"open", "os.mkdir", "os.rename", "os.remove", "os.rmdir"}
 
 
 def rig() -> object:
@@ -82,38 +85,45 @@ def test_a_second_process_is_refused_for_one_acquisition(tmp_path: Path) -> None
 def test_an_acquisition_killed_at_any_time_ends_with_the_same_bytes(
     tmp_path: Path, kills: int
 ) -> None:
-    acquire(tmp_path / "first", rig())  # loads all modules
-    began = perf_counter()
-    acquire(tmp_path / "whole", rig())
-    seconds = perf_counter() - began
+    operations = _acquire_in_process(tmp_path / "whole", None)
     expected = stored(tmp_path / "whole")
     killed: set[str] = set()
     for number, moment in enumerate(generator(8).uniform(0, 1, kills)):
-        share = (number + moment) / kills
+        last = 1 + int((number + moment) / kills * operations)
         path = tmp_path / str(number)
-        if not _ends_before(path, share * seconds):
-            killed.add(_stage_under_way(path))
+        _acquire_in_process(path, last)
+        killed.add(_stage_under_way(path))
         acquire(path, rig())
-        assert stored(path) == expected, f"killed after {share:.0%}"
+        assert stored(path) == expected, f"killed at operation {last} of {operations}"
     assert len(killed) >= 3, killed  # the moments are random, but spread over all stages
 
 
-def _ends_before(path: Path, seconds: float) -> bool:
-    """Acquire in a process killed after some seconds; return True if it ended earlier."""
-    process = FORKS.Process(target=_acquire_for, args=(path, seconds))
+def _acquire_in_process(path: Path, last: int | None) -> int:
+    """Acquire in a process that is killed at a file operation; return their number if it isn't.
+
+    Operations on files of `path` are counted in place of seconds, since these vary with the load.
+    """
+    counts = FORKS.SimpleQueue()
+    process = FORKS.Process(target=_acquire_until, args=(path, last, counts))
     process.start()
     process.join()
-    assert process.exitcode in (0, -signal.SIGALRM)
-    return process.exitcode == 0
+    assert process.exitcode == (0 if last is None else -signal.SIGKILL)
+    return counts.get() if last is None else last
 
 
-def _acquire_for(path: Path, seconds: float) -> None:
-    acquire(
-        path.with_name(f"{path.name}_first"), rig()
-    )  # importing takes longer than the acquisition
-    signal.signal(signal.SIGALRM, signal.SIG_DFL)  # ends it immediately, like kill -9
-    signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-4))
+def _acquire_until(path: Path, last: int | None, counts: SimpleQueue[int]) -> None:
+    count = 0
+
+    def kill_at_last(event: str, arguments: tuple[object, ...]) -> None:
+        nonlocal count
+        if event in FILE_OPERATIONS and str(arguments[0]).startswith(f"{path}/"):
+            count += 1
+            if count == last:
+                os.kill(os.getpid(), signal.SIGKILL)
+
+    sys.addaudithook(kill_at_last)
     acquire(path, rig())
+    counts.put(count)
 
 
 def _stage_under_way(path: Path) -> str:
