@@ -26,7 +26,7 @@ from benchmarks.methods.cases import (
     newest,
 )
 from benchmarks.methods.scenes import projector_views, shape_of
-from rfpipe.methods.adaptive.decisions import expected_patterns
+from rfpipe.methods.adaptive.forecast import expected_patterns
 from rfpipe.store.files import write_atomically
 
 TUNING, TEST = "tuning", "test"

@@ -22,7 +22,7 @@ import numpy as np
 from benchmarks.harness import write
 from benchmarks.methods.cases import Case
 from benchmarks.methods.measure import measure
-from rfpipe.methods.adaptive import decisions
+from rfpipe.methods.adaptive import decisions, forecast
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
 from rfpipe.methods.footprints import method as footprints
 from rfpipe.methods.near_far import method as near_far
@@ -34,9 +34,11 @@ Change = tuple[object, str, Any]
 """An object, the name of its attribute, and another value of the attribute."""
 
 
-def constant(name: str, *values: Any) -> list[tuple[Any, list[Change]]]:
-    """Return other values of a constant of `decisions`."""
-    return [(value, [(decisions, name, value)]) for value in values]
+def constant(
+    name: str, *values: Any, module: ModuleType = decisions
+) -> list[tuple[Any, list[Change]]]:
+    """Return other values of a module's constant."""
+    return [(value, [(module, name, value)]) for value in values]
 
 
 def cost(
@@ -64,7 +66,7 @@ def wrong_model(factor: float) -> list[Change]:
 
 CHANGES: dict[str, list[tuple[Any, list[Change]]]] = {
     "stalled": constant("STALLED", 0.7, 0.95),
-    "slowest_power": constant("SLOWEST_POWER", 0.12, 0.5),
+    "slowest_power": constant("SLOWEST_POWER", 0.12, 0.5, module=forecast),
     "least_patterns": constant("LEAST_PATTERNS", 3, 12),
     "least_share": constant("LEAST_SHARE", 0.05, 0.2),
     "extrapolation": constant("EXTRAPOLATION_MARGIN", 0.9, 1.4),

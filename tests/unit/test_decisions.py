@@ -12,8 +12,8 @@ from rfpipe.methods.adaptive.decisions import (
     Decision,
     end,
     next_pattern_count,
-    patterns_to_target,
 )
+from rfpipe.methods.adaptive.forecast import patterns_to_target
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
 from rfpipe.methods.adaptive.state import STOPPING_FRACTION, AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions

@@ -17,7 +17,7 @@ import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.config import Config, load_config
 from rfpipe.jobs import workers
-from rfpipe.methods.adaptive.decisions import expected_patterns
+from rfpipe.methods.adaptive.forecast import expected_patterns
 from rfpipe.methods.base import get_method, options_of
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages.forecast import forecast

@@ -12,7 +12,7 @@ from tests.rigs.known_matrix import acquire_matrix, dense, picture_error
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError
-from rfpipe.methods.adaptive.loop import RESIDUAL_ROUNDS
+from rfpipe.methods.adaptive.rounds import RESIDUAL_ROUNDS
 from rfpipe.methods.adaptive.state import Phase
 from rfpipe.methods.error_estimate import HELD_OUT
 from rfpipe.methods.near_far.method import ROUNDS, NearFar

@@ -40,7 +40,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Bools
-from rfpipe.methods.adaptive.decisions import SLOWEST_POWER
+from rfpipe.methods.adaptive.forecast import SLOWEST_POWER
 from rfpipe.photometry.camera import are_saturated
 from rfpipe.photometry.sensor import Sensor
 from rfpipe.storage.base import (

@@ -26,23 +26,25 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
     ALL_SHOWN,
     LIMIT_REACHED,
     Decision,
-    HierarchyCost,
     end,
+)
+from rfpipe.methods.adaptive.forecast import (
+    HierarchyCost,
     expected_patterns,
-    next_pattern_count,
+    most_patterns,
     target_of,
 )
 from rfpipe.methods.adaptive.model import AdaptiveModel
+from rfpipe.methods.adaptive.rounds import Rounds, next_round, random_pattern_count
 from rfpipe.methods.adaptive.state import (
     STOPPING_FRACTION,
     AdaptiveState,
     Phase,
-    Round,
     hierarchy_start,
 )
 from rfpipe.methods.base import (
@@ -54,7 +56,7 @@ from rfpipe.methods.base import (
     check_rays,
     get_method,
 )
-from rfpipe.methods.error_estimate import HELD_OUT, Estimate, estimate_error, held_out_patterns
+from rfpipe.methods.error_estimate import Estimate, estimate_error, held_out_patterns
 from rfpipe.methods.images import Pictures, ScheduledImages
 from rfpipe.methods.residual.fit import fit_residual
 from rfpipe.methods.residual.model import CameraCells, residual_cells
@@ -66,17 +68,8 @@ from rfpipe.transport.sum import SumTransport
 
 _log = logging.getLogger(__name__)
 
-RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
-"""Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
-
-# Largest number of patterns of a hierarchy, over the number that its `HierarchyCost` expects.
-_HIERARCHY_MARGIN = 4.0
-
 # The residual of a model is kept if it leaves less than this share of the error.
 _RESIDUAL_GAIN = 0.95
-
-Rounds = dict[Phase, tuple[int, ...]]
-"""Largest number of random patterns of each round, for each phase after the floodlit one."""
 
 
 class Candidate(NamedTuple):
@@ -344,7 +337,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
             state = self._start_hierarchy(state)
         elif phase is not None and decision.reason:
             _log.info("%s; continuing with random blocks", decision.reason)
-        coming = None if phase is None else self._next_round(state, phase)
+        coming = None
+        if phase is not None:
+            rounds, is_suitable = self.rounds(state.projector), self._model(state).is_suitable
+            coming = next_round(state, rounds, phase, is_suitable=is_suitable)
         if coming is None and not state.meets_target:
             shortage = LIMIT_REACHED if state.options.patterns else ALL_SHOWN
             reason = shortage if phase is not None else decision.reason
@@ -355,37 +351,6 @@ class AdaptiveMethod(Method[AdaptiveState]):
                 _log.warning(message, ratio, reason)
         return replace(state, next_round=coming)
 
-    def _next_round(self, state: AdaptiveState, phase: Phase) -> Round | None:
-        """Return the next round of a phase; None if it has no patterns left."""
-        shown, rounds = state.next_round, self.rounds(state.projector)
-        assert shown is not None
-        index = shown.index + 1 if phase is shown.phase else 0
-        if index >= len(rounds[phase]):
-            return None
-        phases = list(rounds)
-        before = sum(len(rounds[earlier]) for earlier in phases[: phases.index(phase)])
-        key = 1 + before + index
-        if phase is Phase.HIERARCHY:
-            is_complete = not len(state.hierarchy_state.frontier)
-            return None if is_complete else Round(phase, index, key)
-        held_out, count = self._pattern_counts(state, phase, rounds[phase][index])
-        return Round(phase, index, key, held_out, count) if held_out + count else None
-
-    def _pattern_counts(
-        self, state: AdaptiveState, phase: Phase, largest_count: int
-    ) -> tuple[int, int]:
-        """Return the numbers of held-out and of random patterns of the next round."""
-        held_out = len(HELD_OUT) if state.held_out is None else 0
-        is_useful = phase is not Phase.MODEL or self._model(state).is_suitable
-        count = next_pattern_count(state, largest_count) if is_useful else 0
-        if not state.options.patterns:
-            return held_out, count
-        remaining = state.options.patterns - state.patterns_shown
-        if remaining >= held_out + min(count, 1):
-            return held_out, min(count, remaining - held_out)
-        # without held-out pictures a round gives no estimate
-        return 0, 0 if held_out else min(count, max(remaining, 0))
-
     # --- forecast
 
     def forecast(
@@ -393,30 +358,12 @@ class AdaptiveMethod(Method[AdaptiveState]):
     ) -> Forecast:
         """Forecast the patterns from the target error, see `expected_patterns`."""
         check_rays(self, camera, projector)
-        typical = expected_patterns(projector.views, target_of(options))
-        max_patterns = self._max_patterns(projector, options)
-        patterns = min(round(typical), projector.size, max_patterns)
+        target = target_of(options)
+        largest = random_pattern_count(self.rounds(projector))
+        max_patterns = most_patterns(projector, largest, self.hierarchy_cost, options)
+        typical = round(expected_patterns(projector.views, target))
+        patterns = min(typical, projector.size, max_patterns)
         return self.forecast_of(camera, channels, patterns, max_patterns)
-
-    def _max_patterns(self, projector: RayDomain, options: ErrorOptions) -> int:
-        """Bound the number of patterns of all phases.
-
-        A hierarchy shows each block of each level at most once, and hardly more than 4 times the
-        number of patterns that its cost expects.
-        """
-        rounds = sum(sum(counts) for counts in self.rounds(projector).values())
-        tree = BlockTree(projector)
-        blocks = sum(tree.n_blocks(level) for level in range(1, tree.n_levels))
-        expected = self.hierarchy_cost.expected_patterns(projector, target_of(options))
-        hierarchy = min(blocks, round(_HIERARCHY_MARGIN * expected))
-        total = 1 + len(HELD_OUT) + rounds + hierarchy
-        return min(total, options.patterns or total)
-
-
-def hierarchy_rounds(projector: RayDomain) -> Rounds:
-    """Return the rounds of a hierarchy below its floodlit level, and of its residual."""
-    levels = BlockTree(projector).n_levels - 1
-    return {Phase.HIERARCHY: (0,) * levels, Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS}
 
 
 def _error(candidate: Candidate) -> float:

@@ -19,11 +19,12 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
     NOT_SUITABLE,
     Decision,
-    HierarchyCost,
     after_hierarchy_residual_round,
     after_round_before_hierarchy,
 )
-from rfpipe.methods.adaptive.loop import AdaptiveMethod, Rounds, hierarchy_rounds
+from rfpipe.methods.adaptive.forecast import HierarchyCost
+from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.adaptive.rounds import Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import StateArrays
 from rfpipe.methods.error_estimate import HELD_OUT

@@ -21,7 +21,6 @@ from rfpipe.methods.adaptive.decisions import (
     CLOSE,
     NOT_SUITABLE,
     Decision,
-    HierarchyCost,
     after_hierarchy_residual_round,
     after_round_before_hierarchy,
     exceeds_hierarchy,
@@ -29,12 +28,9 @@ from rfpipe.methods.adaptive.decisions import (
     is_mostly_noise,
     is_nearly_met,
 )
-from rfpipe.methods.adaptive.loop import (
-    RESIDUAL_ROUNDS,
-    AdaptiveMethod,
-    Rounds,
-    hierarchy_rounds,
-)
+from rfpipe.methods.adaptive.forecast import HierarchyCost
+from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.adaptive.rounds import RESIDUAL_ROUNDS, Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import LIBRARY_BYTES, Forecast, StateArrays
 from rfpipe.methods.images import Pictures

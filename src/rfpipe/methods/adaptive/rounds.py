@@ -1,0 +1,68 @@
+"""Rounds of an adaptive acquisition: the largest number of patterns of each, and the next one."""
+
+from __future__ import annotations
+
+from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.methods.adaptive.decisions import next_pattern_count
+from rfpipe.methods.adaptive.state import AdaptiveState, Phase, Round
+from rfpipe.methods.error_estimate import HELD_OUT
+
+RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
+"""Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
+
+Rounds = dict[Phase, tuple[int, ...]]
+"""Largest number of random patterns of each round, for each phase after the floodlit one."""
+
+
+def hierarchy_rounds(projector: RayDomain) -> Rounds:
+    """Return the rounds of a hierarchy below its floodlit level, and of its residual."""
+    levels = BlockTree(projector).n_levels - 1
+    return {Phase.HIERARCHY: (0,) * levels, Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS}
+
+
+def random_pattern_count(rounds: Rounds) -> int:
+    """Sum up the largest numbers of random patterns of all rounds."""
+    return sum(sum(counts) for counts in rounds.values())
+
+
+def next_round(
+    state: AdaptiveState, rounds: Rounds, phase: Phase, *, is_suitable: bool
+) -> Round | None:
+    """Return the next round of a phase; None if it has no patterns left.
+
+    Parameters
+    ----------
+    state : AdaptiveState
+        State after the round `state.next_round`, whose pictures are fitted.
+    rounds : Rounds
+    phase : Phase
+    is_suitable : bool
+        Whether the model fits the light, so that more patterns for it are useful.
+    """
+    shown = state.next_round
+    assert shown is not None
+    index = shown.index + 1 if phase is shown.phase else 0
+    if index >= len(rounds[phase]):
+        return None
+    phases = list(rounds)
+    before = sum(len(rounds[earlier]) for earlier in phases[: phases.index(phase)])
+    key = 1 + before + index
+    if phase is Phase.HIERARCHY:
+        is_complete = not len(state.hierarchy_state.frontier)
+        return None if is_complete else Round(phase, index, key)
+    is_useful = phase is not Phase.MODEL or is_suitable
+    count = next_pattern_count(state, rounds[phase][index]) if is_useful else 0
+    held_out, count = _within_limit(state, count)
+    return Round(phase, index, key, held_out, count) if held_out + count else None
+
+
+def _within_limit(state: AdaptiveState, count: int) -> tuple[int, int]:
+    """Return the numbers of held-out and of random patterns, within the options' limit."""
+    held_out = len(HELD_OUT) if state.held_out is None else 0
+    if not state.options.patterns:
+        return held_out, count
+    remaining = state.options.patterns - state.patterns_shown
+    if remaining >= held_out + min(count, 1):
+        return held_out, min(count, remaining - held_out)
+    # without held-out pictures a round gives no estimate
+    return 0, 0 if held_out else min(count, max(remaining, 0))
