@@ -35,7 +35,6 @@ _MISSED = 1.2  # true error over target, more than which misses it
 _NEAR = 1.5  # an estimate is this many times the truth at most, and its inverse at least
 _VISIBLE = 0.25  # of a photograph's noise: the least error that an estimate sees
 _ABREAST = 6
-_FIXED = 72  # references of every acquisition by code that took as many for any target
 _ESTIMATED = {"error_mean": "estimated_error", "indirect_mean": "estimated_indirect"}
 
 _ABOUT = """# The open benchmark
@@ -60,9 +59,9 @@ scenes are omitted.
 _REGRET = """## Regret
 
 Pictures of `auto` over the fewest with which any other method has a true error as small as the
-target, at its best setting in hindsight, or over those of brute force, with the references of
-`auto`. Geometric means over seeds, then over scenes. `!`: `auto` missed its target by more than a
-fifth.
+target, at its best setting in hindsight, or over those of brute force. Other methods are counted
+with at most the references of `auto`. Geometric means over seeds, then over scenes. `!`: `auto`
+missed its target by more than a fifth.
 """
 _INDIRECT = """## Regret by indirect light
 
@@ -167,8 +166,12 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
         the fewest of other methods, ``error``, whose true error is as small as the target, and
         ``indirect``, whose error of indirect light is as small as the acquisition's; the methods
         that took the fewest, ``error_by`` and ``indirect_by``, empty where none did and brute
-        force's number counts, with the references of `AUTO`. NaN without other methods, or where
-        the error isn't known.
+        force's number counts. NaN without other methods, or where the error isn't known.
+
+    Notes
+    -----
+    Other methods and brute force are counted with at most the references of `AUTO`: these follow
+    from its target, and rows of earlier code have more.
     """
     pairs = []
     for _, rows in done.groupby(list(PLACE), sort=False):
@@ -180,9 +183,11 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
                 "missed": auto_rows.error_mean > _MISSED * auto_rows.value,
             }
             limits = {"error": auto_rows.value, "indirect": auto_rows.indirect_mean}
+            references = auto_rows.pictures - auto_rows.patterns
+            most = rivals["patterns"] + references
+            compared = rivals.assign(pictures=rivals["pictures"].clip(upper=most))
             for name, limit in limits.items():
-                enough = rivals[rivals[f"{name}_mean"] <= limit].sort_values("pictures")
-                references = auto_rows.pictures - auto_rows.patterns
+                enough = compared[compared[f"{name}_mean"] <= limit].sort_values("pictures")
                 fewest, by = auto_rows.projector_rays + references, ""
                 if len(enough):
                     fewest, by = enough.iloc[0][["pictures", "method"]]
@@ -208,16 +213,13 @@ def _run(rows: pd.DataFrame, table: Path, planned: Sequence[Case]) -> str:
     places = by_place(table)
     needless = sum(is_needless(case, places[case.place]) for case in missing)
     status = rows["status"].value_counts()
-    further = rows["pictures"] - rows["patterns"]
     return (
         f"{len(rows)} acquisitions from {rows['date'].min()} to {rows['date'].max()} on "
         f"{'; '.join(sorted(set(rows['machine'])))}: {status.get('done', 0)} done, "
         f"{status.get('refused', 0)} refused by the method, {status.get('failed', 0)} failed. "
         f"Of the {len(planned)} planned ones, {needless} weren't needed, since a coarser tolerance "
         "had reached all errors in the comparison; "
-        f"{len(missing) - needless} weren't run; {older} are of earlier code. "
-        f"{(further >= _FIXED).sum()} acquisitions took {_FIXED} references, as earlier code did "
-        "for any target: against these the regret of newer ones is too low.\n"
+        f"{len(missing) - needless} weren't run; {older} are of earlier code.\n"
     )
 
 

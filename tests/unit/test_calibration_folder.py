@@ -188,9 +188,9 @@ def test_proposed_exposures_suit_a_dim_projector_and_the_room_light(
 def test_a_rig_without_signal_gets_a_report(
     tmp_path: Path, lamp: float, room: float, message: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(
-        latency, "LONGEST_SECONDS", 0.2
-    )  # shortens the wait for light that never comes
+    # shorter waits for light that never comes
+    monkeypatch.setattr(latency, "LONGEST_SECONDS", 0.2)
+    monkeypatch.setattr(latency, "PROBE_SECONDS", 0.05)
     bench, folder, run = begun(tmp_path, (12, 12), (96, 96), (40, 42), gamma=GAMMA)
     radiance = bench.camera._radiance
     bench.camera._radiance = lambda: lamp * radiance() + np.float32(room)
