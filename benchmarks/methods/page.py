@@ -26,7 +26,7 @@ from benchmarks.methods.cases import (
     newest,
 )
 from benchmarks.methods.scenes import projector_views, shape_of
-from rfpipe.methods.adaptive.forecast import expected_patterns
+from rfpipe.methods.adaptive.forecast import EXPECTED, LOWER_QUARTILE, UPPER_QUARTILE
 from rfpipe.store.files import write_atomically
 
 TUNING, TEST = "tuning", "test"
@@ -76,9 +76,9 @@ within a fifth.
 """
 _FORECASTS = f"""## Forecasts
 
-Shares of runs of `{AUTO}` whose cost is within a factor of {_NEAR:g} of the forecast of `rfpipe
-plan`, and quartiles of the cost over the forecast. Pictures are forecast with the references that
-the run took.
+Shares of runs of `{AUTO}` whose patterns are between the two quartiles of `rfpipe plan`, and whose
+cost is within a factor of {_NEAR:g} of its expected number; quartiles of the cost over that number.
+Pictures are forecast with the references that the run took.
 """
 _FEWEST = f"""## Pictures for an error of {_ENOUGH:.0%}
 
@@ -97,10 +97,13 @@ _SIDES = """## By side
 
 Memory is the peak while it acquired, the simulated camera's included, above what was taken before.
 """
-_PLOTS = """## Plots
+_CURVES = """## Errors against pictures
 
-Mean errors against pictures on the rig in full light, dotted the noise of a single photograph;
-estimates against truth, filled where scene and seed are for tuning.
+Mean errors against pictures on the rig in full light, dotted the noise of a single photograph.
+"""
+_PLOT = """## Estimates against truth
+
+Filled where scene and seed are for tuning.
 """
 
 
@@ -125,7 +128,7 @@ def write_page(folder: Path, table: Path, planned: Sequence[Case]) -> None:
     full = shown[(shown["light"] == "full") & (shown["section"] == _of_scenes(shown))]
     text = regret.to_csv(index=False, float_format="%.5g", lineterminator="\n")
     write_atomically(folder / "regret.csv", text.encode())
-    write_atomically(folder / "errors.png", _curves(full[full["status"] == "done"]))
+    in_full_light = _of_full_light(folder, full)
     write_atomically(folder / "estimates.png", _against_truth(done[done["side"] == side]))
     rays = done["side"].map(_rays)
     small, sides = small_scenes(done[rays < _rays(side)]), _sides(done[rays >= _rays(side)])
@@ -140,15 +143,26 @@ def write_page(folder: Path, table: Path, planned: Sequence[Case]) -> None:
         _estimates(done[done["side"] == side]),
         _FORECASTS,
         forecasts(done[done["side"] == side]),
-        _FEWEST,
-        _fewest(full),
+        *in_full_light,
         *([_SMALL, small] if small else []),
         *([_SIDES, sides] if sides else []),
-        _PLOTS,
-        f"![errors against pictures on the rig]({folder.name}/errors.png)\n",
+        _PLOT,
         f"![estimates against truth]({folder.name}/estimates.png)\n",
     ]
     write_atomically(folder.with_suffix(".md"), "\n".join(parts).encode())
+
+
+def _of_full_light(folder: Path, rows: pd.DataFrame) -> list[str]:
+    """Return the parts of the page about full light, and draw its plot; empty without rows.
+
+    `rows` are the acquisitions in full light.
+    """
+    done = rows[rows["status"] == "done"]
+    if not len(done):
+        return []
+    write_atomically(folder / "errors.png", _curves(done))
+    plot = f"![errors against pictures on the rig]({folder.name}/errors.png)\n"
+    return [_FEWEST, _fewest(rows), _CURVES, plot]
 
 
 def regrets(done: pd.DataFrame) -> pd.DataFrame:
@@ -302,25 +316,29 @@ def _estimates(done: pd.DataFrame) -> str:
 def forecasts(done: pd.DataFrame) -> str:
     """Return a table of how near the patterns and pictures of `AUTO` are to the forecast."""
     rows = done[(done["method"] == AUTO) & (done["option"] == "target_error")]
-    expected = pd.Series(
-        [expected_patterns(projector_views(row.scene), row.value) for row in rows.itertuples()],
-        rows.index,
+    lower, expected, upper = (
+        pd.Series(
+            [law.at(projector_views(row.scene), row.value) for row in rows.itertuples()],
+            rows.index,
+        )
+        for law in (LOWER_QUARTILE, EXPECTED, UPPER_QUARTILE)
     )
     references = rows["pictures"] - rows["patterns"]
     rows = rows.assign(
         patterns_ratio=rows["patterns"] / expected,
         pictures_ratio=rows["pictures"] / (expected + references),
+        is_between=rows["patterns"].between(lower.round(), upper.round()),
     )
     lines = []
     for (light, section), of_section in rows.groupby(["light", "section"], sort=False):
-        cells = []
+        cells = [f"{of_section['is_between'].mean():.0%}"]
         for name in ("patterns_ratio", "pictures_ratio"):
             quartiles = of_section[name].quantile([0.25, 0.5, 0.75])
             share = of_section[name].between(1 / _NEAR, _NEAR).mean()
             cells += [f"{share:.0%}", ", ".join(f"{ratio:.2f}" for ratio in quartiles)]
         lines.append([str(light), str(section), str(len(of_section)), *cells])
-    head = ["light", "", "runs", "patterns within 1.5", "patterns over forecast",
-            "pictures within 1.5", "pictures over forecast"]  # fmt: skip
+    head = ["light", "", "runs", "between quartiles", "patterns within 1.5",
+            "patterns over forecast", "pictures within 1.5", "pictures over forecast"]  # fmt: skip
     return markdown(head, lines)
 
 

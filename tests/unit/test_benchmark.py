@@ -15,13 +15,14 @@ from benchmarks.methods.cases import (
     TARGETS,
     TOLERANCES,
     Case,
+    appending,
     cases_of,
     is_needless,
     method_of,
     newest,
 )
 from benchmarks.methods.measure import measure
-from benchmarks.methods.page import forecasts, regrets, small_scenes
+from benchmarks.methods.page import forecasts, regrets, small_scenes, write_page
 from benchmarks.methods.scenes import KINDS
 
 from rfpipe.errors import InputError
@@ -108,6 +109,35 @@ def test_the_page_states_which_acquisitions_were_run(run):
     assert f"{planned} weren't run" in page
 
 
+def test_a_page_without_full_light_leaves_its_sections_out(tmp_path):
+    rows = [
+        acquisition("auto", 0.02, 30, 0.018, light="sixteenth", status="done", code="",
+                    estimated_error=0.016),
+        acquisition("dual", 0.01, 60, 0.02, light="sixteenth", status="done", code=""),
+        acquisition("dual", 0.01, 60, 0.02, status="failed", why="no disk"),
+    ]  # fmt: skip
+    for row in rows:
+        row |= {"scene": "wedge_iv", "held_out_scene": False, "held_out_seed": False}
+        row |= {
+            "date": "2026-01-01",
+            "machine": "a machine",
+            "key": f"{row['light']} {row['method']}",
+        }
+        del row["section"]
+    folder = tmp_path / "benchmark"
+    table = folder / "acquisitions.csv"
+    with appending(table) as append:
+        for row in rows:
+            append(row)
+    write_page(folder, table, [])
+    page = folder.with_suffix(".md").read_text()
+    assert "| `auto` | sixteenth | tuning | 1 |" in page
+    assert (folder / "estimates.png").stat().st_size > 10_000
+    assert "errors.png" not in page
+    assert "Pictures for an error" not in page
+    assert not (folder / "errors.png").exists()
+
+
 def test_a_table_of_other_columns_is_refused(tmp_path):
     (tmp_path / "acquisitions.csv").write_text("method,error\n")
     with pytest.raises(InputError, match="expected the columns key, scene"):
@@ -166,8 +196,9 @@ def test_forecasts_are_compared_with_what_acquisitions_took():
         acquisition("dual", 0.01, 500, 0.01),
     ]
     table = forecasts(pd.DataFrame(rows)).splitlines()
-    assert table[2] == "| full | tuning | 1 | 100% | 0.91, 0.91, 0.91 | 100% | 0.93, 0.93, 0.93 |"
-    assert table[3].startswith("| full | test | 2 | 0% | 2.")
+    ratios = "100% | 0.91, 0.91, 0.91 | 100% | 0.93, 0.93, 0.93"
+    assert table[2] == f"| full | tuning | 1 | 100% | {ratios} |"
+    assert table[3].startswith("| full | test | 2 | 0% | 0% | 2.")
 
 
 def test_small_scenes_compare_estimates_with_the_truth():

@@ -13,9 +13,9 @@ from rfpipe.methods.adaptive.decisions import (
     end,
     next_pattern_count,
 )
-from rfpipe.methods.adaptive.forecast import patterns_to_target
+from rfpipe.methods.adaptive.forecast import TYPICAL_POWER, patterns_to_target
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
-from rfpipe.methods.adaptive.state import STOPPING_FRACTION, AdaptiveState, Phase
+from rfpipe.methods.adaptive.state import STOPPING_FRACTION, AdaptiveState, Phase, Round
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.footprints.method import Footprints
@@ -157,6 +157,38 @@ def test_a_round_has_the_patterns_missing_by_extrapolation() -> None:
         assert patterns_to_target(state) == pytest.approx(missing, rel=1e-6)
         assert next_pattern_count(state, 100) == max(6, round(1.1 * missing))
     assert next_pattern_count(state, 7) == 7
+
+
+def test_remaining_patterns_follow_from_the_error_so_far() -> None:
+    method, patterns = NearFar(), 1 + ROUNDS[0]
+    coming = Round(Phase.MODEL, 1, 2, 0, 10)
+    one_round = replace(after_model_rounds(method, [0.03], 0.01), next_round=coming)
+    typical = patterns * ((0.03 / 0.0095) ** (1 / TYPICAL_POWER) - 1)
+    assert method.remaining_patterns(one_round) == round(typical)
+
+    # errors that fall slower than typical, and so slowly that a hierarchy takes fewer patterns
+    shown = patterns + ROUNDS[1]
+    first = 0.012 * (shown / patterns) ** 0.4
+    two_rounds = replace(after_model_rounds(method, [first, 0.012], 0.01), next_round=coming)
+    by_rounds = shown * ((0.012 / 0.0095) ** (1 / 0.4) - 1)
+    assert method.remaining_patterns(two_rounds) == round(by_rounds)
+    stalled = replace(after_model_rounds(method, [0.03, 0.029], 0.01), next_round=coming)
+    hierarchy = method.hierarchy_cost.expected_patterns(RAYS, 0.01)
+    assert method.remaining_patterns(stalled) == round(hierarchy)
+    next_level = replace(one_round, next_round=Round(Phase.HIERARCHY))
+    assert method.remaining_patterns(next_level) == round(hierarchy)
+
+
+def test_remaining_patterns_are_those_of_the_next_round_at_least_and_of_the_limit_at_most() -> None:
+    method = NearFar()
+    begun = method.start(RAYS, RAYS, 1, ErrorOptions(target_error=0.01))
+    assert method.remaining_patterns(begun) == 33
+    state = after_model_rounds(method, [0.0096], 0.01)
+    assert method.remaining_patterns(replace(state, next_round=None)) == 0
+    coming = replace(state, next_round=Round(Phase.MODEL, 1, 2, 0, 10))
+    assert method.remaining_patterns(coming) == 10
+    limited = replace(coming, options=ErrorOptions(target_error=0.01, patterns=12))
+    assert method.remaining_patterns(limited) == 12 - (1 + ROUNDS[0])
 
 
 def test_both_targets_must_be_met() -> None:

@@ -17,7 +17,7 @@ import rfpipe
 from rfpipe.blocks import RayDomain
 from rfpipe.config import Config, load_config
 from rfpipe.jobs import workers
-from rfpipe.methods.adaptive.forecast import expected_patterns
+from rfpipe.methods.adaptive.forecast import EXPECTED
 from rfpipe.methods.base import get_method, options_of
 from rfpipe.rigs import OperatorRig
 from rfpipe.stages.forecast import forecast
@@ -84,6 +84,33 @@ def test_no_acquisition_of_a_small_scene_exceeds_the_upper_limit(
     assert 72 < result.patterns <= limit
 
 
+@pytest.mark.slow  # compiles the kernels of near/far acquisition
+def test_the_log_updates_the_forecast_after_each_level(caplog: pytest.LogCaptureFixture) -> None:
+    shape, rng = (8, 9), np.random.default_rng(1)
+    matrix = rng.random((72, 72)) ** 8 + np.eye(72)
+    matrix = (matrix + matrix.T) / 200
+    rig = OperatorRig(matrix.astype(np.float32), shape, shape, seconds_per_pattern=6.0)
+    with caplog.at_level("INFO", logger="rfpipe"):
+        result = rfpipe.acquire(rig, "near_far", target_error=0.01, progress=False)
+    pattern = r"level (\d+): about (\d+) more pictures?, ([\d.e+]+) min on a rig"
+    forecasts = [match.groups() for match in re.finditer(pattern, caplog.text)]
+    assert [int(level) for level, *_ in forecasts] == list(range(len(result.levels) - 1))
+    for _, pictures, minutes in forecasts:
+        assert float(minutes) == pytest.approx(int(pictures) / 10, rel=0.06)
+
+
+def test_a_forecast_has_the_quartiles_of_the_tuning_scenes() -> None:
+    shape = {"kind": "plane", "surfaces": ["texture"], "shape": [48, 48]}
+    given = {"all_off_brackets": 3, "all_on_brackets": 7}
+    for target, lower, upper in ((0.02, 13, 30), (0.01, 20, 60), (0.005, 30, 120)):
+        methods = {"auto": {"target_error": target}}
+        row = only(scenes={"wall": shape}, methods=methods, capture=given)
+        others = row.pictures - row.patterns
+        assert (row.lower_pictures, row.upper_pictures) == (lower + others, upper + others)
+    row = only(methods={"brute_force": {}}, capture=given)
+    assert row.lower_pictures == row.pictures == row.upper_pictures
+
+
 @pytest.mark.parametrize(("is_test", "share"), [(False, 0.55), (True, 0.19)])
 def test_the_documented_share_of_the_benchmark_is_within_1_5_of_the_forecast(
     is_test: bool, share: float
@@ -92,7 +119,7 @@ def test_the_documented_share_of_the_benchmark_is_within_1_5_of_the_forecast(
     rows = rows[(rows["method"] == "auto") & (rows["status"] == "done")]
     rows = rows[(rows["side"] == "48") & (rows["held_out_scene"] == is_test)]
     ratios = [
-        row.patterns / expected_patterns(9 if row.scene.startswith("views") else 1, row.value)
+        row.patterns / EXPECTED.at(9 if row.scene.startswith("views") else 1, row.value)
         for row in rows.itertuples()
     ]
     assert np.mean([1 / 1.5 <= ratio <= 1.5 for ratio in ratios]) == pytest.approx(share, abs=0.05)

@@ -316,10 +316,11 @@ def plan(
     doesn't meet. The settings file of a rig is checked without a forecast.
 
     Pictures are all brackets that the rig takes: references, symmetry test, patterns, check and
-    verification pictures. The number of patterns is estimated from target_error or tolerance. For
-    auto, near_far and footprints, 55 % of the tuning scenes of docs/benchmark.md needed 0.67 to 1.5
-    times the estimate, scenes with glass, mirrors and gloss 2 to 10 times. "at most" counts all
-    rounds of the method. Time is that of the pictures on a rig; disk space is before compression.
+    verification pictures. Their number depends on the scene more than on anything that is known
+    before the first picture. "half take" are the quartiles of the tuning scenes of
+    docs/benchmark.md; scenes with glass, mirrors and gloss often take 4 to 11 times the expected
+    patterns. "at most" counts all rounds of the method. The log of a run updates the forecast after
+    each round. Time is that of the pictures on a rig; disk space is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
@@ -399,12 +400,29 @@ def _forecast_table(rows: pd.DataFrame) -> str:
     from rfpipe.storage.space import bytes_text
 
     table = rows.copy()
-    for name in ("rays", "patterns", "pictures", "max_pictures"):
+    for name in (
+        "rays",
+        "patterns",
+        "pictures",
+        "lower_pictures",
+        "upper_pictures",
+        "max_pictures",
+    ):
         table[name] = rows[name].map("{:,}".format)
+    table["half take"] = table["lower_pictures"] + " to " + table["upper_pictures"]
     table["seconds"] = rows["seconds"].map(_duration)
     for name in ("disk", "memory"):
         table[name] = rows[name].map(bytes_text)
-    order = ["scene", "method", "rays", "patterns", "pictures", "max_pictures", "seconds"]
+    order = [
+        "scene",
+        "method",
+        "rays",
+        "patterns",
+        "pictures",
+        "half take",
+        "max_pictures",
+        "seconds",
+    ]
     names = {"seconds": "time", "max_pictures": "at most"}
     table = table[[*order, "disk", "memory"]].rename(columns=names)
     return table.to_string(index=False, col_space=8)

@@ -116,11 +116,15 @@ class Forecast:
         Largest number of patterns.
     memory_bytes : int
         Peak memory of the process in bytes.
+    quartiles : tuple of int, optional
+        Numbers of patterns between which half of the benchmark's tuning scenes are. None where the
+        number of patterns doesn't depend on the scene.
     """
 
     patterns: int
     max_patterns: int
     memory_bytes: int
+    quartiles: tuple[int, int] | None = None
 
 
 @dataclass(frozen=True)
@@ -281,6 +285,10 @@ class Method(MethodDescription, ABC, Generic[S]):
         Rows of masked pixels may be left empty: where the rig is coaxial,
         `rfpipe.transport.filling` fills them from their columns.
         """
+
+    def remaining_patterns(self, state: S) -> int | None:
+        """Forecast the number of patterns of all further levels; None if it isn't known."""
+        return None
 
     def transport_of_unlit_rays(self, state: S) -> Transport:
         """Return the transport that predicts the light of rays that the next level leaves unlit.

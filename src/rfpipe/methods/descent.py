@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any, ClassVar
 
 from rfpipe.blocks import BlockTree, RayDomain
@@ -9,6 +10,9 @@ from rfpipe.methods.base import Forecast, Method, S, check_rays
 
 _LARGEST_RATIO = 7.0
 """Largest number of patterns over the expected one, in all acquisitions of the benchmark."""
+
+_QUARTILES = 0.7, 1.3
+"""Numbers of patterns over the expected one between which half of the tuning acquisitions are."""
 
 
 class BlockTreeMethod(Method[S]):
@@ -36,4 +40,6 @@ class BlockTreeMethod(Method[S]):
         blocks = sum(tree.n_blocks(level) for level in range(tree.n_levels))
         patterns = min(round(typical), projector.size)
         max_patterns = max(patterns, min(round(_LARGEST_RATIO * typical), blocks))
-        return self.forecast_of(camera, channels, patterns, max_patterns)
+        lower, upper = (min(round(ratio * typical), max_patterns) for ratio in _QUARTILES)
+        forecast = self.forecast_of(camera, channels, patterns, max_patterns)
+        return replace(forecast, quartiles=(lower, upper))

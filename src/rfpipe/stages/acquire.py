@@ -193,6 +193,7 @@ def acquire(
         symmetry_brackets=symmetry_brackets if plan.measures_symmetry else 0,
         # a simulated rig has no interval; a caller who sets `watch` gets check pictures even so
         check_interval=precautions.check_interval or PRECAUTIONS["remote"].check_interval,
+        seconds_per_pattern=rig.seconds_per_pattern,
         watch=watch,
         accepted_asymmetry=asymmetry,
         mask_defects=mask_defects,

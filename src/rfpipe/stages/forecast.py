@@ -56,8 +56,9 @@ def forecast(settings: Config) -> pd.DataFrame:
         A row for each acquisition: ``scene``, ``method``; number of ``rays`` of the projector;
         expected numbers of ``patterns``, of ``pictures`` on the rig for all purposes and of their
         exposures, ``frames``; the ``seconds`` of these pictures and of the warm-up, and their
-        uncompressed size on ``disk`` in bytes; ``max_patterns``, ``max_pictures``, ``max_frames``,
-        ``max_seconds`` and ``max_disk``, their upper limits; ``memory`` in bytes.
+        uncompressed size on ``disk`` in bytes; ``lower_pictures`` and ``upper_pictures``, between
+        which half of the benchmark's tuning scenes are; ``max_patterns``, ``max_pictures``,
+        ``max_frames``, ``max_seconds`` and ``max_disk``, their upper limits; ``memory`` in bytes.
 
     Raises
     ------
@@ -77,10 +78,15 @@ def forecast(settings: Config) -> pd.DataFrame:
             plan.camera, plan.projector, plan.channels, plan.options
         )
         largest = _costs(scene_settings, plan, expected.max_patterns, is_largest=True)
+        lower, upper = (
+            _costs(scene_settings, plan, patterns)["pictures"]
+            for patterns in expected.quartiles or (expected.patterns, expected.patterns)
+        )
         rows.append(
             {
                 "scene": scene, "method": name, "rays": plan.projector.size,
                 **_costs(scene_settings, plan, expected.patterns),
+                "lower_pictures": lower, "upper_pictures": upper,
                 **{f"max_{key}": value for key, value in largest.items()},
                 "memory": expected.memory_bytes + settings.scenes[scene].simulation_bytes,
             }

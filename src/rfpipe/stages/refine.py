@@ -15,6 +15,7 @@ from rfpipe.references.reference_images import read_floodlit
 from rfpipe.stages.context import Acquisition
 from rfpipe.stages.normalize import NormalizedImages, read_normalization
 from rfpipe.stages.schedule import read_schedule
+from rfpipe.stages.settings import AcquisitionSettings
 from rfpipe.steps import displayed_by
 from rfpipe.text import counted, percent
 from rfpipe.transport.base import last_estimate
@@ -52,6 +53,7 @@ def run(acquisition: Acquisition, level: int) -> Any:
         with displayed_by(partial(Progress, unit="step", is_visible=acquisition.settings.progress)):
             state = plan.method.refine(previous, images, acquisition.resources.data_bytes)
     _log_estimate(state.rows, plan.options)
+    _log_forecast(level, plan.method.remaining_patterns(state), acquisition.settings)
     changed = state.to_arrays(previous)
     facts = {
         "stage": "refine",
@@ -77,3 +79,12 @@ def _log_estimate(level_rows: Sequence[Mapping[str, Any]], options: Options) -> 
             "level %d: estimated error %s %% after %s%s", last["level"],
             percent(last["estimated_error"]), counted(last["patterns"], "pattern"), target,
         )  # fmt: skip
+
+
+def _log_forecast(level: int, patterns: int | None, settings: AcquisitionSettings) -> None:
+    """Log the expected number of further patterns with their check pictures, and their time."""
+    if patterns:
+        checks = patterns // settings.check_interval if settings.check_interval else 0
+        minutes = settings.seconds_per_pattern * (patterns + checks) / 60
+        _log.info("level %d: about %s, %.2g min on a rig", level,
+                  counted(patterns + checks, "more picture"), minutes)  # fmt: skip

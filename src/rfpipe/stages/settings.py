@@ -37,6 +37,8 @@ class AcquisitionSettings:
         Brackets of random patterns after them, which measure the rig's symmetry; 0 for none.
     check_interval : int
         Patterns from one check picture to the next, 0 for no check pictures.
+    seconds_per_pattern : float
+        Seconds that a real rig needs for the bracket of a pattern, for forecasts.
     batch_patterns : int
         Patterns displayed, then stored, at a time; fewer where memory is short. A rig that shows
         sequences takes one sequence at a time.
@@ -75,6 +77,7 @@ class AcquisitionSettings:
     expected_patterns: int = 30
     symmetry_brackets: int = 0
     check_interval: int = 0
+    seconds_per_pattern: float = 2.0
     batch_patterns: int = 16
     when_patterns_change: WhenChanged = "recapture"
     warm_up_minutes: float = 0.0
@@ -111,6 +114,7 @@ The code is not among those of captures: an edit takes no picture again.
 """
 
 OPERATING_SETTINGS = (
+    "seconds_per_pattern",
     "batch_patterns",
     "warm_up_minutes",
     "when_patterns_change",
@@ -161,6 +165,7 @@ def operating_settings(config: Config, scene: str) -> dict[str, Any]:
     """Return the `OPERATING_SETTINGS` of a scene."""
     capture = config.of_scene(scene).capture
     return {
+        "seconds_per_pattern": capture.seconds_per_pattern,
         "batch_patterns": capture.batch_patterns,
         "warm_up_minutes": capture.warm_up_minutes,
         "when_patterns_change": capture.when_patterns_change,
@@ -173,6 +178,7 @@ def operating_settings(config: Config, scene: str) -> dict[str, Any]:
 def operating_settings_from_text(texts: Mapping[str, str]) -> dict[str, Any]:
     """Parse the `OPERATING_SETTINGS`, which a job has as text among its resources."""
     return {
+        "seconds_per_pattern": float(texts["seconds_per_pattern"]),
         "batch_patterns": int(texts["batch_patterns"]),
         "warm_up_minutes": float(texts["warm_up_minutes"]),
         "when_patterns_change": texts["when_patterns_change"],

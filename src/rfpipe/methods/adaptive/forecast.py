@@ -1,37 +1,71 @@
-"""Number of patterns of an adaptive acquisition: expected, largest, and remaining.
+"""Forecast of the patterns of an adaptive acquisition: before it, and after each round.
 
-Before the first picture only the target error and the projector are known. The expected number is
-the median of the benchmark's tuning scenes (`expected_patterns`); the largest number is that of all
-rounds and of a complete hierarchy (`most_patterns`).
+Before the first picture only the target error ``t`` and the number of projector views ``v`` are
+known. They don't determine the number of patterns ``n``: for one target it differs by a factor of
+20 between scenes, by the kind of their light. A forecast is therefore a median and two quartiles of
+the benchmark's tuning scenes, each a `PatternLaw`, and the number of all rounds and of a complete
+hierarchy, which is the largest (`most_patterns`)::
 
-The estimated errors of two rounds show how fast errors fall on the scene at hand. With the errors
-``e_0`` and ``e_1`` after ``n_0`` and ``n_1`` patterns, a target ``t`` takes (`patterns_to_target`)
+    n = v c (1 % / t)^a
 
-    n = n_1 (e_1 / t)^(1 / p),    p = log(e_0 / e_1) / log(n_1 / n_0)
+The number of rays and the amount of light have no visible effect on ``n``.
+
+Once a round has been shown, its estimated error ``e`` is known as well (`remaining_patterns`).
+Errors fall with a power ``p`` of the number of patterns, so that after ``n_1`` patterns the target
+takes
+
+    n = n_1 (e_1 / t)^(1 / p)
+
+From the second round on, ``p`` is measured: ``p = log(e_0 / e_1) / log(n_1 / n_0)``
+(`patterns_to_target`). Where a hierarchy follows, or would take fewer patterns, `HierarchyCost` has
+their number.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from rfpipe.blocks import BlockTree, RayDomain
-from rfpipe.methods.adaptive.state import AdaptiveState
+from rfpipe.methods.adaptive.state import AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.error_estimate import HELD_OUT
 
-EXPECTED_PATTERNS, EXPECTED_POWER = 33.0, 0.8
-"""Patterns of a projector view for an error of 1 %, and the power of 1 / error by which they grow.
 
-They do not depend on the number of rays or the light. On the benchmark's tuning scenes 55 % of the
-acquisitions took 0.67 to 1.5 times as many, one in ten more than 7 times; on its test scenes, with
-glass, mirrors and gloss among them, 19 % did, and half of them took 4 to 11 times as many.
-"""
+class PatternLaw(NamedTuple):
+    """Number of patterns by target error.
+
+    Attributes
+    ----------
+    patterns : float
+        Patterns of a projector view for an error of 1 %.
+    power : float
+        Power of 1 / error by which their number grows.
+    """
+
+    patterns: float
+    power: float
+
+    def at(self, views: int, target: float) -> float:
+        """Compute the number of patterns for a total error."""
+        return float(views * self.patterns * (0.01 / target) ** self.power)
+
+
+EXPECTED = PatternLaw(33.0, 0.8)
+"""Median over the benchmark's tuning scenes."""
+
+LOWER_QUARTILE, UPPER_QUARTILE = PatternLaw(20.0, 0.6), PatternLaw(60.0, 1.0)
+"""A quarter of the tuning scenes take fewer patterns, a quarter more. Most of the test scenes, with
+glass, mirrors and gloss among them, take more."""
 
 SLOWEST_POWER = 0.25
 """Errors fall with a power of the number of patterns. Below this power more patterns hardly help:
 half the error would take sixteen times as many."""
+
+TYPICAL_POWER = 0.8
+"""Power of the number of patterns by which errors typically fall after the first round."""
 
 INDIRECT_RATIO = 6.0
 """Typical error of indirect light over the total error."""
@@ -79,11 +113,6 @@ def target_of(options: ErrorOptions) -> float:
     return float(min(options.target_error, indirect / INDIRECT_RATIO))
 
 
-def expected_patterns(views: int, target: float) -> float:
-    """Compute the expected number of patterns for a total error, before any picture is taken."""
-    return float(views * EXPECTED_PATTERNS * (0.01 / target) ** EXPECTED_POWER)
-
-
 def most_patterns(
     projector: RayDomain, random_patterns: int, cost: HierarchyCost, options: ErrorOptions
 ) -> int:
@@ -119,3 +148,32 @@ def patterns_to_target(state: AdaptiveState) -> float:
     if power < SLOWEST_POWER:
         return np.inf
     return float(state.patterns_shown * (excess[-1] ** (1 / power) - 1))
+
+
+def remaining_patterns(state: AdaptiveState, cost: HierarchyCost) -> int:
+    """Forecast the number of patterns that an acquisition still shows, after a round.
+
+    Parameters
+    ----------
+    state : AdaptiveState
+        State whose next round is chosen.
+    cost : HierarchyCost
+        Cost of the hierarchy that may follow.
+    """
+    coming, shown = state.next_round, state.patterns_shown
+    if coming is None:
+        return 0
+    target = target_of(state.options)
+    hierarchy = cost.expected_patterns(state.projector, target)
+    if coming.phase is Phase.HIERARCHY:
+        of_hierarchy = sum(state.rows[level]["patterns"] for level in state.hierarchy_levels)
+        remaining = hierarchy - of_hierarchy
+    elif not state.estimates:
+        remaining = EXPECTED.at(state.projector.views, target) - shown
+    else:
+        typical = shown * (state.excess[-1] ** (1 / TYPICAL_POWER) - 1)
+        may_follow = state.allows_hierarchy and coming.phase is not Phase.HIERARCHY_RESIDUAL
+        largest = hierarchy if may_follow else state.projector.size
+        remaining = min(max(typical, patterns_to_target(state)), largest)
+    limit = state.options.patterns - shown if state.options.patterns else np.inf
+    return round(float(min(max(remaining, coming.held_out + coming.count, 1), limit)))

@@ -34,9 +34,12 @@ from rfpipe.methods.adaptive.decisions import (
     end,
 )
 from rfpipe.methods.adaptive.forecast import (
+    EXPECTED,
+    LOWER_QUARTILE,
+    UPPER_QUARTILE,
     HierarchyCost,
-    expected_patterns,
     most_patterns,
+    remaining_patterns,
     target_of,
 )
 from rfpipe.methods.adaptive.model import AdaptiveModel
@@ -356,14 +359,20 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
-        """Forecast the patterns from the target error, see `expected_patterns`."""
+        """Forecast the patterns from the target error, see `rfpipe.methods.adaptive.forecast`."""
         check_rays(self, camera, projector)
-        target = target_of(options)
-        largest = random_pattern_count(self.rounds(projector))
-        max_patterns = most_patterns(projector, largest, self.hierarchy_cost, options)
-        typical = round(expected_patterns(projector.views, target))
-        patterns = min(typical, projector.size, max_patterns)
-        return self.forecast_of(camera, channels, patterns, max_patterns)
+        random_patterns = random_pattern_count(self.rounds(projector))
+        largest = most_patterns(projector, random_patterns, self.hierarchy_cost, options)
+        lower, patterns, upper = (
+            min(round(law.at(projector.views, target_of(options))), projector.size, largest)
+            for law in (LOWER_QUARTILE, EXPECTED, UPPER_QUARTILE)
+        )
+        forecast = self.forecast_of(camera, channels, patterns, largest)
+        return replace(forecast, quartiles=(lower, upper))
+
+    def remaining_patterns(self, state: AdaptiveState) -> int:
+        """Forecast the number of patterns that the target still takes."""
+        return remaining_patterns(state, self.hierarchy_cost)
 
 
 def _error(candidate: Candidate) -> float:
