@@ -21,10 +21,10 @@ from rfpipe.methods.footprints.kernels import (
     WeightPrior,
     solve_weights,
 )
-from rfpipe.methods.footprints.matching import box_templates
+from rfpipe.methods.footprints.matching import boxes_of
 from rfpipe.methods.footprints.method import ROUNDS, Footprints
 from rfpipe.methods.footprints.pictures import ViewArrays
-from rfpipe.methods.footprints.weights import fit_weights
+from rfpipe.methods.footprints.weights import fit_weights_of_part
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 from rfpipe.transport.multilevel import MultilevelTransport
@@ -127,8 +127,9 @@ def test_neighbours_decide_between_two_positions_with_equal_patterns() -> None:
     ones, dark = np.ones(side.size, np.float32), np.zeros_like(patterns)
     keys = np.arange(side.size) * side.size + places
     wrong = Candidates(side.size, side.size, keys, ones, ones)
-    refined = refined_candidates(pictures, wrong, dark, side, box_templates(side, patterns, 1.0))
-    weights = fit_weights(refined, pictures, dark).matrix().toarray()
+    search = refined_candidates(pictures, wrong, dark, side, boxes_of(side, 1.0))
+    ((_, refined),) = search
+    weights = fit_weights_of_part(refined, pictures, dark).matrix().toarray()
     assert weights[place, place] > 0.9
     assert weights[place, equal_place] < 0.1
 

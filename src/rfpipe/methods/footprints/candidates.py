@@ -107,6 +107,20 @@ class Candidates:
         keys = position[part.camera_pixels] * self.projector_size + part.keys % self.projector_size
         return replace(part, camera_size=len(camera_pixels), keys=keys)
 
+    def between(self, first: int, last: int) -> Candidates:
+        """Select the camera pixels ``first:last``; arrays are views, except `keys`."""
+        begin, end = np.searchsorted(
+            self.keys, [first * self.projector_size, last * self.projector_size]
+        )
+        keys = self.keys[begin:end] - first * self.projector_size
+        return Candidates(
+            last - first,
+            self.projector_size,
+            keys,
+            self.variance[begin:end],
+            self.weights[begin:end],
+        )
+
     def _masked(self, mask: Bools) -> Candidates:
         return replace(
             self, keys=self.keys[mask], variance=self.variance[mask], weights=self.weights[mask]
@@ -119,6 +133,20 @@ def unique_keys(keys: Index) -> Index:
     is_first = np.ones(len(ordered), np.bool_)
     np.not_equal(ordered[1:], ordered[:-1], out=is_first[1:])
     return ordered[is_first]
+
+
+def join_pixels(parts: Sequence[Candidates]) -> Candidates:
+    """Join the candidates of consecutive ranges of camera pixels, the inverse of `between`."""
+    if len(parts) == 1:
+        return parts[0]
+    size, ends = parts[0].projector_size, np.cumsum([part.camera_size for part in parts])
+    starts = ends - [part.camera_size for part in parts]
+    keys = [part.keys + start * size for part, start in zip(parts, starts, strict=True)]
+    variance, weights = (
+        np.concatenate(arrays)
+        for arrays in zip(*((part.variance, part.weights) for part in parts), strict=True)
+    )
+    return Candidates(int(ends[-1]), size, np.concatenate(keys), variance, weights)
 
 
 def join_views(parts: Sequence[Candidates]) -> Candidates:

@@ -28,7 +28,13 @@ from numpy.typing import NDArray
 
 from rfpipe.array_types import Bools, Float, Index
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.footprints.candidates import Candidates, join_views, on_view, split_views
+from rfpipe.methods.footprints.candidates import (
+    Candidates,
+    join_pixels,
+    join_views,
+    on_view,
+    split_views,
+)
 from rfpipe.methods.footprints.charts import Chart, chart_from_view
 from rfpipe.methods.footprints.functions import (
     CameraToProjector,
@@ -46,12 +52,13 @@ from rfpipe.methods.footprints.indirect import (
     Accuracy,
     FitData,
     IndirectLight,
+    IndirectPictures,
     fit_cores,
     fit_data,
     fit_gains,
     misfit,
 )
-from rfpipe.methods.footprints.matching import BoxTemplates, box_templates
+from rfpipe.methods.footprints.matching import Boxes, boxes_of
 from rfpipe.methods.footprints.model import ChannelModel, FittedChannels
 from rfpipe.methods.footprints.pictures import ViewPictures, floodlit_by_all
 from rfpipe.methods.footprints.reciprocity import (
@@ -60,7 +67,7 @@ from rfpipe.methods.footprints.reciprocity import (
     symmetrized,
     with_transposed,
 )
-from rfpipe.methods.footprints.weights import fit_weights
+from rfpipe.methods.footprints.weights import fit_weights, fit_weights_of_part
 from rfpipe.methods.images import beyond_noise
 from rfpipe.methods.smooth_light import coarse_to_fine
 from rfpipe.provenance import generator
@@ -72,8 +79,9 @@ if TYPE_CHECKING:
 PicturesByView = tuple[ViewPictures, ...]
 """Pictures of one channel, or of the channels' sum, for each projector view."""
 
-# Seed, and default number, of the camera rays in the fit of indirect light with several views.
-_SEED, _LIGHT_FIELD_RAYS = 2006, 4096
+# Seed, and default largest numbers, of the camera rays in the fit of indirect light: with several
+# projector views, and with one.
+_SEED, _LIGHT_FIELD_RAYS, _IMAGE_RAYS = 2006, 4096, 2**17
 # Candidates below this fraction of the floodlit image are dropped between searches.
 _FAINT = 0.005
 # Prior standard deviations of weights, as fractions of the weight and of the floodlit image: in the
@@ -119,7 +127,7 @@ class _Problem:
     camera, projector : RayDomain
     grey : tuple of ViewPictures
         One for each projector view.
-    templates : list of BoxTemplates
+    boxes : list of Boxes
         One for each projector view.
     camera_rays : ndarray of int64, optional
         Rays in the fits of indirect light, ascending; None for all.
@@ -130,7 +138,7 @@ class _Problem:
     camera: RayDomain
     projector: RayDomain
     grey: PicturesByView
-    templates: list[BoxTemplates]
+    boxes: list[Boxes]
     camera_rays: Index | None
     largest_part_count: int
 
@@ -155,7 +163,7 @@ def fit_model(
     previous : Candidates, optional
         `FittedChannels.grey` of an earlier fit.
     limits : FitLimits, optional
-        By default all camera rays take part, but 4,096 with several projector views.
+        By default at most 131,072 camera rays, and 4,096 with several projector views.
     """
     problem = _problem(camera, projector, grey, limits)
     footprints = previous if previous is not None else _first_footprints(problem)
@@ -180,57 +188,68 @@ def _problem(
     camera: RayDomain, projector: RayDomain, grey: PicturesByView, limits: FitLimits | None
 ) -> _Problem:
     view = RayDomain(projector.image_shape)
-    templates = []
+    boxes = []
     for pictures in grey:
         lit_count = max(1.0, float(pictures.lit_pixels.sum()) / camera.views)
         # projector pixels that a lit camera pixel spans along each axis, approximately
         pixels_across = float(np.sqrt(view.size / lit_count))
-        templates.append(box_templates(view, pictures.patterns, pixels_across))
-    limits = limits or FitLimits(_LIGHT_FIELD_RAYS if len(grey) > 1 else camera.size)
+        boxes.append(boxes_of(view, pixels_across))
+    limits = limits or FitLimits(_LIGHT_FIELD_RAYS if len(grey) > 1 else _IMAGE_RAYS)
     camera_rays = None
     if camera.size > limits.camera_rays:
         order = generator(_SEED, camera.size).permutation(camera.size)
         camera_rays = np.sort(order[: limits.camera_rays])
-    return _Problem(camera, projector, grey, templates, camera_rays, limits.core_parts)
+    return _Problem(camera, projector, grey, boxes, camera_rays, limits.core_parts)
 
 
 def _first_footprints(problem: _Problem) -> Candidates:
-    views = zip(problem.grey, problem.templates, strict=True)
-    parts = []
-    for pictures, templates in views:
-        first = first_candidates(pictures, problem.camera, templates)
+    views = []
+    for pictures, boxes in zip(problem.grey, problem.boxes, strict=True):
+        floodlit = pictures.floodlit
         # only the rays in the fit of indirect light need the candidates without light
-        parts.append(_without_faint(problem, first, pictures.floodlit, 0.0))
-    return join_views(parts)
+        parts = [
+            _without_faint(problem, part, floodlit, 0.0, pixels)
+            for pixels, part in first_candidates(pictures, problem.camera, boxes)
+        ]
+        views.append(join_pixels(parts))
+    return join_views(views)
 
 
 def _search_footprints(
     problem: _Problem, footprints: Candidates, light: IndirectLight
 ) -> Candidates:
     """Search for footprints in the pictures minus indirect light, and fit their weights."""
-    grey, parts = problem.grey, []
+    grey, searched = problem.grey, []
     views = zip(
-        grey, split_views(footprints, len(grey)), light.in_pictures(grey), problem.templates,
+        grey, split_views(footprints, len(grey)), light.in_pictures(grey), problem.boxes,
         strict=True,
     )  # fmt: skip
-    for pictures, part, in_pictures, templates in views:
-        refined = refined_candidates(pictures, part, in_pictures, problem.camera, templates)
-        weighted = fit_weights(refined, pictures, in_pictures)
-        # only the rays in the fit of indirect light need the faint candidates
-        parts.append(_without_faint(problem, weighted, pictures.floodlit, _FAINT))
-    footprints = join_views(parts)
+    for pictures, part, in_pictures, boxes in views:
+        refined, floodlit = [], pictures.floodlit
+        search = refined_candidates(pictures, part, in_pictures, problem.camera, boxes)
+        for pixels, candidates in search:
+            fitted = fit_weights_of_part(candidates, pictures.at(pixels), in_pictures[pixels])
+            # only the rays in the fit of indirect light need the faint candidates
+            refined.append(_without_faint(problem, fitted, floodlit, _FAINT, pixels))
+        searched.append(join_pixels(refined))
+    footprints = join_views(searched)
     if not light.basis.mapping.shared_rays:
         return footprints
     return _fit_weights_of_views(grey, with_transposed(footprints), light.in_pictures(grey))
 
 
 def _without_faint(
-    problem: _Problem, candidates: Candidates, floodlit: Float, fraction: float
+    problem: _Problem, candidates: Candidates, floodlit: Float, fraction: float, pixels: slice
 ) -> Candidates:
-    """Drop weights of at most a fraction of the floodlit image, except of the rays in the fit."""
-    if problem.camera_rays is None:
+    """Drop weights of at most a fraction of the floodlit image, except of the rays in the fit.
+
+    `candidates` are those of a range of camera pixels, `floodlit` has all pixels.
+    """
+    rays = problem.camera_rays
+    if rays is None:
         return candidates
-    return candidates.above(fraction, floodlit, problem.camera_rays)
+    exempt = rays[slice(*np.searchsorted(rays, [pixels.start, pixels.stop]))] - pixels.start
+    return candidates.above(fraction, floodlit[pixels], exempt)
 
 
 def _prepare_last_fit(pictures: PicturesByView, footprints: Candidates) -> Candidates:
@@ -292,7 +311,7 @@ def _fit_reciprocal_parts(
 
 
 def _fit_weights_of_views(
-    pictures: PicturesByView, footprints: Candidates, indirect: Iterable[Float]
+    pictures: PicturesByView, footprints: Candidates, indirect: Iterable[IndirectPictures]
 ) -> Candidates:
     views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
     return join_views([fit_weights(part, view, in_view) for part, view, in_view in views])
@@ -424,11 +443,15 @@ def _mean_indirect_light(
         return max(float((floodlit - direct_light).mean(dtype=np.float64)), 0.0)
     (view,) = pictures
     positive = np.maximum(direct_light, np.finfo(np.float32).tiny)
-    lit_part = (direct @ view.patterns[:, 1:]) / positive[:, None]
-    # 1 where no direct light is on, 0 where at least a quarter of it is on
-    dark = (1 - np.clip(4 * lit_part, 0, 1)) * view.known[:, None]
-    light = (np.where(dark > 0, view.radiance[:, 1:], 0) * dark).sum(dtype=np.float64)
-    return max(2 * float(light), 0.0) / max(float(dark.sum(dtype=np.float64)), 1.0)
+    light, weight = 0.0, 0.0
+    for first, last in view.ranges():
+        part = view.at(slice(first, last))
+        lit_part = (direct[first:last] @ view.patterns[:, 1:]) / positive[first:last, None]
+        # 1 where no direct light is on, 0 where at least a quarter of it is on
+        dark = (1 - np.clip(4 * lit_part, 0, 1)) * part.known[:, None]
+        light += float((np.where(dark > 0, part.radiance[:, 1:], 0) * dark).sum(dtype=np.float64))
+        weight += float(dark.sum(dtype=np.float64))
+    return max(2 * light, 0.0) / max(weight, 1.0)
 
 
 def _unexplained_chart_cells(

@@ -17,19 +17,26 @@ the camera pixel's neighbours that see the candidate or a pixel near it.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
 import numpy as np
 
 from rfpipe.array_types import Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, unique_keys
 from rfpipe.methods.footprints.matching import (
-    BoxTemplates,
+    Boxes,
     coarse_light,
     matched_filter,
     pixels_in_boxes,
 )
 from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.methods.footprints.weights import MODEL_ERROR, TINY, non_negative_weights
+
+if TYPE_CHECKING:
+    from rfpipe.methods.footprints.indirect import IndirectPictures
 
 # Least reduction of chi-square, the squared residual in squared standard deviations, by a new box,
 # and its least share of chi-square.
@@ -43,23 +50,30 @@ _NEIGHBOURS = [step for step in np.ndindex(3, 3) if step != (1, 1)]
 
 
 def first_candidates(
-    pictures: ViewPictures, camera: RayDomain, templates: BoxTemplates
-) -> Candidates:
+    pictures: ViewPictures, camera: RayDomain, boxes: Boxes
+) -> Iterator[tuple[slice, Candidates]]:
     """Find footprints from the pictures alone.
 
     Each lit camera pixel has the projector pixels of its best box as candidates. Their weights have
     a prior standard deviation of 25 % of the floodlit image.
+
+    Yields
+    ------
+    pixels : slice
+        A range of camera pixels.
+    candidates : Candidates
+        Theirs.
     """
-    floodlit, mask = pictures.floodlit, pictures.lit_pixels
-    lit = np.flatnonzero(mask)
-    series = pictures.radiance[lit] / floodlit[lit, None]
-    box, correlation = matched_filter(templates, pictures).match_image(series, camera, mask)
-    is_match = correlation > 0
-    keys = pixels_in_boxes(templates, lit[is_match], box[is_match])
-    size = templates.projector.size
-    variance = np.square(_FIRST_WEIGHT * floodlit[keys // size]).astype(np.float32)
-    candidates = Candidates(camera.size, size, keys, variance, np.zeros(len(keys), np.float32))
-    return _fit_first_weights(candidates, pictures, templates.projector)
+    lit, size = np.flatnonzero(pictures.lit_pixels), boxes.projector.size
+    box, correlation = matched_filter(boxes, pictures).match_image(pictures, camera)
+    lit, box = lit[correlation > 0], box[correlation > 0]
+    for first, last in pictures.ranges():
+        part = pictures.at(slice(first, last))
+        begin, end = np.searchsorted(lit, [first, last])
+        keys = pixels_in_boxes(boxes, lit[begin:end] - first, box[begin:end])
+        variance = np.square(_FIRST_WEIGHT * part.floodlit[keys // size]).astype(np.float32)
+        candidates = Candidates(last - first, size, keys, variance, np.zeros_like(variance))
+        yield slice(first, last), _fit_first_weights(candidates, part, boxes.projector)
 
 
 def _fit_first_weights(
@@ -90,10 +104,10 @@ def _fit_first_weights(
 def refined_candidates(
     pictures: ViewPictures,
     candidates: Candidates,
-    indirect: Float,
+    indirect: IndirectPictures,
     camera: RayDomain,
-    templates: BoxTemplates,
-) -> Candidates:
+    boxes: Boxes,
+) -> Iterator[tuple[slice, Candidates]]:
     """Collect candidates from earlier ones, from neighbours and from the residual.
 
     Parameters
@@ -101,83 +115,151 @@ def refined_candidates(
     pictures : ViewPictures
     candidates : Candidates
         Earlier ones with their weights.
-    indirect : ndarray of float32, shape (M, P)
+    indirect : IndirectPictures
         Indirect light in the pictures, radiance.
     camera : RayDomain
-    templates : BoxTemplates
+    boxes : Boxes
 
-    Returns
-    -------
-    Candidates
-        With the weights of earlier ones, 0 for new ones, and prior variances.
+    Yields
+    ------
+    pixels : slice
+        A range of camera pixels.
+    candidates : Candidates
+        Theirs, with the weights of earlier ones, 0 for new ones, and prior variances.
     """
-    size, floodlit = candidates.projector_size, pictures.floodlit
-    strong = candidates.above(_STRONG, floodlit)
-    neighbour_places = _neighbour_places(strong, camera)
-    is_place = neighbour_places >= 0
-    suggested = unique_keys((np.arange(camera.size) * size + neighbour_places)[is_place])
-    support = _neighbour_support(suggested, neighbour_places, templates)
+    strong = candidates.above(_STRONG, pictures.floodlit)
+    brightest = _brightest(strong, camera)
+    unexplained = _residual_candidates(pictures, candidates, indirect, boxes)
+    for first, last in pictures.ranges():
+        neighbour_places = _neighbour_places(brightest, camera, first, last)
+        yield (
+            slice(first, last),
+            _collected(
+                strong.between(first, last),
+                unexplained.between(first, last).keys,
+                neighbour_places,
+                pictures.floodlit[first:last],
+                boxes,
+            ),
+        )
+
+
+def _collected(
+    strong: Candidates, unexplained: Index, neighbour_places: Index, floodlit: Float, boxes: Boxes
+) -> Candidates:
+    """Collect the candidates of m camera pixels.
+
+    Parameters
+    ----------
+    strong : Candidates
+        Earlier ones.
+    unexplained : ndarray of int64
+        Keys of candidates from the residual.
+    neighbour_places : ndarray of int64, shape (8, m)
+    floodlit : ndarray of float32, shape (m,)
+    boxes : Boxes
+    """
+    size, is_place = strong.projector_size, neighbour_places >= 0
+    suggested = unique_keys((np.arange(len(floodlit)) * size + neighbour_places)[is_place])
+    support = _neighbour_support(suggested, neighbour_places, boxes)
     confirmed = suggested[support > 1 / len(_NEIGHBOURS)]
-    nearby = _with_neighbours(np.concatenate([strong.keys, confirmed]), templates.projector)
-    unexplained = _residual_keys(pictures, candidates, indirect, templates)
+    nearby = _with_neighbours(np.concatenate([strong.keys, confirmed]), boxes.projector)
     keys = unique_keys(np.concatenate([nearby, unexplained]))
     weights = np.zeros(len(keys), np.float32)
     weights[np.searchsorted(keys, strong.keys)] = strong.weights
-    support = _neighbour_support(keys, neighbour_places, templates)
+    support = _neighbour_support(keys, neighbour_places, boxes)
     least = (0.05 + 0.2 * support) * floodlit[keys // size]
     deviation = np.maximum(weights * support, least)
     variance = np.square(deviation).astype(np.float32)
-    return Candidates(camera.size, size, keys, variance, weights)
+    return Candidates(len(floodlit), size, keys, variance, weights)
 
 
-def _residual_keys(
-    pictures: ViewPictures, candidates: Candidates, indirect: Float, templates: BoxTemplates
-) -> Index:
-    """Find boxes that explain residuals of camera pixels, as sorted keys.
+def _residual_candidates(
+    pictures: ViewPictures, candidates: Candidates, indirect: IndirectPictures, boxes: Boxes
+) -> Candidates:
+    """Find boxes that explain residuals of camera pixels; weights are 0.
 
     A box is accepted if its best weight reduces the pixel's chi-square by more than 25, and by more
     than 25 %. Pixels whose chi-square is above 25 and P / 2 are compared with boxes. Noise alone
     gives about P, so that this skips only pixels where the model fits better than noise. If the
     pixels are too many, only the ones of largest chi-square are compared.
     """
-    residual = pictures.radiance - indirect - candidates.matrix() @ pictures.patterns
-    inverse_variance = pictures.inverse_variance(MODEL_ERROR)
-    chi_square = np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
-    may_hide_light = chi_square > max(_LEAST_CHI_SQUARE_DROP, residual.shape[1] / 2)
+    chi_square = np.concatenate(
+        [
+            _chi_square(
+                *_residual(pictures, candidates.between(first, last), indirect, slice(first, last))
+            )
+            for first, last in pictures.ranges()
+        ]
+    )
+    patterns = pictures.patterns
+    may_hide_light = chi_square > max(_LEAST_CHI_SQUARE_DROP, patterns.shape[1] / 2)
     pixel = np.flatnonzero(pictures.lit_pixels & may_hide_light)
-    if len(pixel) > templates.most_series:
-        worst = np.argsort(-chi_square[pixel], kind="stable")[: templates.most_series]
+    if len(pixel) > boxes.most_series:
+        worst = np.argsort(-chi_square[pixel], kind="stable")[: boxes.most_series]
         pixel = np.sort(pixel[worst])
-    series = residual[pixel] / pictures.floodlit[pixel, None]
-    box, correlation = matched_filter(templates, pictures).match(series)
-    response, weight = templates.response[box], inverse_variance[pixel]
+    residual, weight = _residual(pictures, candidates.at(pixel), indirect, pixel)
+    series = residual / pictures.floodlit[pixel, None]
+    box, correlation = matched_filter(boxes, pictures).match(series)
+    response = boxes.responses(box, patterns)
     # reduction of chi-square by the box with its best weight
-    drop = np.square(np.einsum("iq,iq,iq->i", weight, residual[pixel], response))
+    drop = np.square(np.einsum("iq,iq,iq->i", weight, residual, response))
     drop /= np.maximum(np.einsum("iq,iq,iq->i", weight, response, response), TINY)
     explains = (correlation > 0) & (drop > _LEAST_CHI_SQUARE_DROP)
     explains &= drop > _LEAST_DROP_SHARE * chi_square[pixel]
-    return pixels_in_boxes(templates, pixel[explains], box[explains])
+    keys = pixels_in_boxes(boxes, pixel[explains], box[explains])
+    zero = np.zeros(len(keys), np.float32)
+    return replace(candidates, keys=keys, variance=zero, weights=zero)
 
 
-def _neighbour_places(strong: Candidates, camera: RayDomain) -> Index:
-    """Find the brightest candidate of each camera pixel's eight neighbours, (8, M), -1 for none."""
+def _residual(
+    pictures: ViewPictures,
+    candidates: Candidates,
+    indirect: IndirectPictures,
+    pixels: slice | Index,
+) -> tuple[Float, Float]:
+    """Subtract the model from the pictures of camera pixels (m,), whose candidates are given.
+
+    Returns the residual and its inverse variance, (m, P) each.
+    """
+    part = pictures.at(pixels)
+    residual = part.radiance - indirect[pixels] - candidates.matrix() @ part.patterns
+    return residual, part.inverse_variance(MODEL_ERROR)
+
+
+def _chi_square(residual: Float, inverse_variance: Float) -> Float:
+    """Sum up the squared residuals (m, P) in units of their variance, (m,)."""
+    return np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
+
+
+def _brightest(strong: Candidates, camera: RayDomain) -> Index:
+    """Find the brightest candidate of each camera pixel, -1 for none.
+
+    Returns images (views, H + 2, W + 2), with a margin of -1 around each view.
+    """
     order = np.argsort(strong.weights, kind="stable")
     brightest = np.full(camera.size, -1)
     # of repeated indices the last assignment stays
     brightest[strong.camera_pixels[order]] = strong.keys[order] % strong.projector_size
-    _, height, width = camera.stack_shape
     image = brightest.reshape(camera.stack_shape)
-    image = np.pad(image, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
-    shifted = [image[:, down : down + height, right : right + width] for down, right in _NEIGHBOURS]
-    return np.stack(shifted).reshape(len(_NEIGHBOURS), -1)
+    return np.pad(image, ((0, 0), (1, 1), (1, 1)), constant_values=-1)
 
 
-def _neighbour_support(keys: Index, neighbour_places: Index, templates: BoxTemplates) -> Float:
+def _neighbour_places(brightest: Index, camera: RayDomain, first: int, last: int) -> Index:
+    """Select the places of the eight neighbours of the camera pixels ``first:last``.
+
+    `brightest` are images of `_brightest`. Returns int64 (8, pixels), -1 for none.
+    """
+    view, row, column = np.unravel_index(np.arange(first, last), camera.stack_shape)
+    return np.stack([brightest[view, row + down, column + right] for down, right in _NEIGHBOURS])
+
+
+def _neighbour_support(keys: Index, neighbour_places: Index, boxes: Boxes) -> Float:
     """Compute the fraction of a camera pixel's neighbours that see a candidate or a pixel near it.
 
     Near is at most the width of the smaller box along both axes. Returns float32 (K,), 0 to 1.
     """
-    projector, reach = templates.projector, templates.width.min()
+    projector, reach = boxes.projector, boxes.widths[0]
     width = projector.image_shape[1]
     camera_pixel, projector_pixel = np.divmod(keys, projector.size)
     row, column = np.divmod(projector_pixel, width)

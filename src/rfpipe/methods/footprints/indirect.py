@@ -120,16 +120,42 @@ class IndirectLight:
         """Return the root mean square of the core parts of each group, (part_count,)."""
         return learned_deviations(self.basis.part_groups, self.core_parts)
 
-    def in_pictures(self, pictures: Sequence[ViewPictures]) -> Iterator[Float]:
+    def in_pictures(self, pictures: Sequence[ViewPictures]) -> Iterator[IndirectPictures]:
         """Compute the indirect light in the pictures of each projector view, one by one.
 
-        Only the patterns are used. Yields one float32 array (camera rays, P) for each view.
+        Only the patterns are used.
         """
         f, views = self.f, zip(self.basis.R_by_view, pictures, strict=True)
         factors = self.g.reshape(len(pictures), -1, 1)
         for (R, view), factor in zip(views, factors, strict=True):
             light = np.ascontiguousarray(R.T @ (view.patterns * factor), np.float32)
-            yield CoreOperator(self.basis, self.basis.L, f, light).forward(self.core_parts)
+            operator = CoreOperator(self.basis, self.basis.L, f, light)
+            yield IndirectPictures(operator.L, f, operator.exchanged(self.core_parts))
+
+
+@dataclass(frozen=True)
+class IndirectPictures:
+    """Indirect light in the pictures of a projector view, computed where it is used.
+
+    It is the product ``diag(f) L (S J)``, of which ``[rays]`` computes rows, (m, P).
+
+    Attributes
+    ----------
+    L : csr_array of float32, shape (M, n)
+    f : ndarray of float32, shape (M,)
+    received : ndarray of float32, shape (n, P)
+        S J.
+    """
+
+    L: csr_array[np.float32]
+    f: Float
+    received: Float
+
+    def __getitem__(self, rays: slice | Index) -> Float:
+        """Compute the light at camera rays, (m, P)."""
+        images: Float = self.L[rays] @ self.received
+        images *= self.f[rays, None]
+        return images
 
 
 @dataclass(frozen=True)
@@ -196,14 +222,18 @@ class CoreOperator:
 
     def forward(self, core_parts: Float) -> Float:
         """Compute the indirect light of core parts (part_count,) in the pictures, (M, P)."""
+        images: Float = self.L @ self.exchanged(core_parts)
+        images *= self.f[:, None]
+        return images
+
+    def exchanged(self, core_parts: Float) -> Float:
+        """Compute ``S J``, the light that each function receives in each picture, (n, P)."""
         from rfpipe.transport.pair_kernels import AsymmetricCores, couple_asymmetric
 
         received = np.zeros_like(self.pattern_light)
         S = AsymmetricCores(*self.basis.camera.pairs, *np.split(core_parts, 2))
         couple_asymmetric(S, self.pattern_light, received)
-        images: Float = self.L @ received
-        images *= self.f[:, None]
-        return images
+        return received
 
     def adjoint(self, images: Float) -> Float:
         """Apply the transpose of `forward` to images (M, P); returns (part_count,)."""
@@ -317,7 +347,8 @@ def _fit_camera_gains(light: IndirectLight, data: FitData) -> IndirectLight:
     For the indirect light z without the gain, the gain is
     ``(z^T Lambda c + 1 / 0.1^2) / (z^T Lambda z + 1 / 0.1^2)``.
     """
-    images = np.concatenate(list(light.in_pictures(data.pictures)), axis=1)
+    views = light.in_pictures(data.pictures)
+    images = np.concatenate([view[:] for view in views], axis=1)
     images /= light.camera_gain[:, None]
     weighted, prior = data.apply_precision(images), np.float32(1 / _CAMERA_SPREAD**2)
     normal = np.einsum("iq,iq->i", weighted, images) + prior

@@ -1,7 +1,7 @@
-"""Compiled loops over camera pixels: weights of footprints, and matching.
+"""Compiled loops over camera pixels: weights of footprints.
 
-The loops evaluate the equations of `rfpipe.methods.footprints.weights` and
-`rfpipe.methods.footprints.matching` for all camera pixels, and have their symbols.
+The loops evaluate the equations of `rfpipe.methods.footprints.weights` for all camera pixels, and
+have their symbols.
 """
 
 from __future__ import annotations
@@ -44,14 +44,6 @@ class WeightPrior(NamedTuple):
 
     inverse_variance: Float  # (K,)
     mean: Float  # (K,)
-
-
-class BoxGrid(NamedTuple):
-    """Normalised responses of boxes at half-pixel positions of an image, one grid per box width."""
-
-    responses: Float  # (widths x rows x columns, P), each of length 1
-    rows: int
-    columns: int
 
 
 @njit(cache=True, nogil=True, fastmath=True)
@@ -186,20 +178,64 @@ def marginal_factors(
     trace = np.empty(len(rows.starts) - 1, np.float32)
     for i in range(len(trace)):
         first, last = rows.starts[i], rows.starts[i + 1]
-        total = 0.0
-        for q in range(inverse_variance.shape[1]):
-            total += inverse_variance[i, q]
-        if first < last:
-            pixels, U = rows.projector_pixels[first:last], factors[first:last]
-            inner = _gram(pixels, rows.patterns, inverse_variance[i])
-            for row in range(len(U)):
-                inner[row, row] += 1 / variance[first + row]
-                U[row] = rows.patterns[pixels[row]].astype(np.float64) * inverse_variance[i]
-            _substitute(np.linalg.cholesky(inner), U)
-            for value in U.ravel():
-                total -= value * value
+        _factor(rows, i, variance[first:last], inverse_variance[i], factors[first:last])
+        total = inverse_variance[i].astype(np.float64).sum()
+        for value in factors[first:last].ravel():
+            total -= value * value
         trace[i] = max(total, 0.0)
     return factors, trace
+
+
+@njit(cache=True, nogil=True)
+def _factor(
+    rows: CandidateRows, i: int, variance: Float, inverse_variance: Float, U: Double
+) -> None:
+    """Compute U of camera pixel i, (k, P), from its diagonals of G, (k,), and W, (P,)."""
+    if not len(U):
+        return
+    pixels = rows.projector_pixels[rows.starts[i] : rows.starts[i + 1]]
+    inner = _gram(pixels, rows.patterns, inverse_variance)
+    for row in range(len(U)):
+        inner[row, row] += 1 / variance[row]
+        U[row] = rows.patterns[pixels[row]].astype(np.float64) * inverse_variance
+    _substitute(np.linalg.cholesky(inner), U)
+
+
+@njit(cache=True, nogil=True)
+def marginal_triangles(
+    rows: CandidateRows, variance: Float, inverse_variance: Float
+) -> tuple[Float, Float]:
+    """Compute the Cholesky factors of the precisions of `marginal_factors`, ``Lambda = C C^T``.
+
+    Unlike U they may be rounded to float32: the product stays positive. Pixels that are unknown
+    have the factor 0.
+
+    Returns
+    -------
+    triangles : ndarray of float32, shape (M, P (P + 1) / 2)
+        Rows of the lower triangle of each C.
+    trace : ndarray of float32, shape (M,)
+        Trace of each precision.
+    """
+    count, pixels = inverse_variance.shape[1], len(rows.starts) - 1
+    triangles = np.zeros((pixels, count * (count + 1) // 2), np.float32)
+    trace = np.zeros(pixels, np.float32)
+    U = np.empty((np.diff(rows.starts).max(), count))
+    for i in range(pixels):
+        if not inverse_variance[i].any():
+            continue
+        first, last = rows.starts[i], rows.starts[i + 1]
+        factors = U[: last - first]
+        _factor(rows, i, variance[first:last], inverse_variance[i], factors)
+        # the smallest eigenvalues would be lost to rounding only if pictures were exact
+        precision = np.diag((1 + 1e-12) * inverse_variance[i].astype(np.float64))
+        precision -= factors.T @ factors
+        C, place = np.linalg.cholesky(precision), 0
+        for q in range(count):
+            triangles[i, place : place + q + 1] = C[q, : q + 1]
+            place += q + 1
+        trace[i] = np.trace(precision)
+    return triangles, trace
 
 
 @njit(cache=True, nogil=True)
@@ -238,73 +274,28 @@ def apply_precision(
     return result
 
 
-@njit(cache=True, nogil=True)
-def match_near(series: Float, grid: BoxGrid, guesses: Double, reach: float) -> tuple[Index, Float]:
-    """Find the box of highest correlation with each series, among boxes near guessed places.
-
-    Parameters
-    ----------
-    series : ndarray of float32, shape (m, P)
-        Of length 1 each, as the boxes' responses are.
-    grid : BoxGrid
-    guesses : ndarray of float64, shape (m, guesses, 2)
-        Row and column in pixels; NaN for none. A box is compared if it is at most `reach` pixels
-        from a guess along both axes.
-    reach : float
-
-    Returns
-    -------
-    boxes : ndarray of int64, shape (m,)
-    correlation : ndarray of float32, shape (m,)
-        0 for a series without guesses.
-    """
-    best, score = np.zeros(len(series), np.int64), np.zeros(len(series), np.float32)
-    for i in range(len(series)):
-        for guess in range(guesses.shape[1]):
-            row, column = guesses[i, guess]
-            if np.isnan(row):
-                continue
-            box, correlation = _best_near(series[i], grid, row, column, reach)
-            if correlation > score[i]:
-                best[i], score[i] = box, correlation
-    return best, score
-
-
-@njit(cache=True, nogil=True)
-def _best_near(
-    series: Float, grid: BoxGrid, row: float, column: float, reach: float
-) -> tuple[int, np.float32]:
-    """Find the box of highest correlation with one series near a place; 0 and 0 for none."""
-    best, score = 0, np.float32(0)
-    top, bottom = _positions(row, reach, grid.rows)
-    first, end = _positions(column, reach, grid.columns)
-    for start in range(0, len(grid.responses), grid.rows * grid.columns):
-        for y in range(top, bottom):
-            line = start + y * grid.columns
-            box, correlation = _best_of(series, grid.responses, line + first, line + end)
-            if correlation > score:
-                best, score = box, correlation
-    return best, score
-
-
-@njit(cache=True, nogil=True)
-def _positions(place: float, reach: float, count: int) -> tuple[int, int]:
-    """Compute the half-open range of positions within reach of a place along an axis.
-
-    The position of an index is ``(index + 1) / 2`` pixels.
-    """
-    first = max(0, int(np.ceil(2 * (place - reach) - 1)))
-    return first, min(count, int(np.floor(2 * (place + reach) - 1)) + 1)
-
-
 @njit(cache=True, nogil=True, fastmath=True)
-def _best_of(series: Float, responses: Float, first: int, end: int) -> tuple[int, np.float32]:
-    """Find the row of largest product with a series among ``responses[first:end]``."""
-    best, score = first, np.float32(0)
-    for box in range(first, end):
-        product = np.float32(0)
-        for q in range(len(series)):
-            product += series[q] * responses[box, q]
-        if product > score:
-            best, score = box, product
-    return best, score
+def apply_triangles(triangles: Float, pictures: Float) -> Float:
+    """Multiply each camera pixel's pictures by ``C C^T``, float32 (M, P).
+
+    `triangles` are C as in `marginal_triangles`; `pictures` are (M, P).
+    """
+    result = np.empty_like(pictures)
+    count = pictures.shape[1]
+    inner = np.empty(count, np.float32)
+    for i in range(len(triangles)):
+        inner[:] = 0
+        place = 0
+        for q in range(count):
+            row, value = triangles[i, place : place + q + 1], pictures[i, q]
+            for r in range(q + 1):
+                inner[r] += row[r] * value
+            place += q + 1
+        place = 0
+        for q in range(count):
+            row, total = triangles[i, place : place + q + 1], np.float32(0)
+            for r in range(q + 1):
+                total += row[r] * inner[r]
+            result[i, q] = total
+            place += q + 1
+    return result

@@ -14,6 +14,7 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from rfpipe.array_types import Bools, Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import SIGNIFICANCE
 from rfpipe.methods.images import Pictures
+from rfpipe.ranges import ranges
 
 # Errors of any model, relative to the floodlit image of the pixel and to its mean over all pixels.
 _MODEL_ERROR, _LEAST_ERROR = 0.002, 1e-5
@@ -31,6 +33,8 @@ _UNKNOWN = 255
 _VARIANCES = np.exp2((np.arange(256) - _ONE) / _STEPS).astype(np.float32)
 _VARIANCES[_UNKNOWN] = np.inf
 _LARGEST = float(np.finfo(np.float16).max)
+# Camera pixels, and values, that are unpacked at a time.
+_MOST_PIXELS, _MOST_VALUES = 2**17, 2**24
 
 
 class ViewPictures(ABC):
@@ -58,8 +62,13 @@ class ViewPictures(ABC):
         """Return radiance and variance of the floodlit picture, (M,) each."""
 
     @abstractmethod
-    def at(self, camera_pixels: Index | None) -> ViewArrays:
+    def at(self, camera_pixels: slice | Index | None) -> ViewArrays:
         """Select camera pixels by their numbers; None selects all."""
+
+    def ranges(self) -> list[tuple[int, int]]:
+        """Divide the camera pixels into ranges ``(first, last + 1)`` to unpack at a time."""
+        count = self.patterns.shape[1]
+        return ranges(len(self.first()[0]), max(1, min(_MOST_PIXELS, _MOST_VALUES // count)))
 
     @property
     def floodlit(self) -> Float:
@@ -91,10 +100,10 @@ class ViewPictures(ABC):
         """Compute the inverse variance of the difference between picture and model, (M, P).
 
         It is 0 for masked pixels. The variance includes errors of the model: 0.2 % of the floodlit
-        image, `model_error` of the floodlit image, and 1e-5 of its mean over all pixels.
+        image, `model_error` of the floodlit image, and 1e-5 of its mean over these pixels.
         """
         floodlit = self.floodlit[:, None]
-        least = _LEAST_ERROR * float(floodlit.mean(dtype=np.float64))
+        least = _LEAST_ERROR * float(floodlit.mean(dtype=np.float64)) if len(floodlit) else 0.0
         model_variance = (_MODEL_ERROR**2 + model_error**2) * np.square(floodlit) + least**2
         precision: Float = (1 / (self.variance + model_variance)).astype(np.float32)
         return precision
@@ -104,12 +113,15 @@ class ViewPictures(ABC):
 
         It is 1 if no pixel is lit.
         """
-        lit = self.lit_pixels
-        if not lit.any():
-            return 1.0
-        has_patterns = self.patterns.shape[1] > 1
-        variance = self.variance[lit, 1:].mean(axis=1) if has_patterns else self.variance[lit, 0]
-        return float(np.median(variance / np.square(self.floodlit[lit])))
+        # the floodlit picture itself counts only if there is no other
+        first, noise = int(self.patterns.shape[1] > 1), []
+        for begin, end in self.ranges():
+            part = self.at(slice(begin, end))
+            lit = part.lit_pixels
+            variance = part.variance[lit, first:].mean(axis=1)
+            noise.append(variance / np.square(part.floodlit[lit]))
+        relative = np.concatenate(noise)
+        return float(np.median(relative)) if len(relative) else 1.0
 
 
 @dataclass(frozen=True)
@@ -124,7 +136,7 @@ class ViewArrays(ViewPictures):
         """Return radiance and variance of the floodlit picture, (M,) each."""
         return self.radiance[:, 0], self.variance[:, 0]
 
-    def at(self, camera_pixels: Index | None) -> ViewArrays:
+    def at(self, camera_pixels: slice | Index | None) -> ViewArrays:
         """Select camera pixels by their numbers; None selects all."""
         if camera_pixels is None:
             return self
@@ -178,7 +190,7 @@ class PackedPictures:
 
 @dataclass(frozen=True)
 class PackedView(ViewPictures):
-    """Packed pictures of one projector view; arrays are unpacked at each use.
+    """Packed pictures of one projector view; radiance and variance are unpacked at each use.
 
     Attributes
     ----------
@@ -194,7 +206,7 @@ class PackedView(ViewPictures):
     channels: slice
     rays: slice
 
-    @property
+    @cached_property
     def patterns(self) -> Float:  # type: ignore[override]
         """p: weight of each projector pixel in each pattern, 0 or 1, (N, P)."""
         lit = np.concatenate([picture.lit for picture in self.pictures])
@@ -216,7 +228,7 @@ class PackedView(ViewPictures):
         pixels = slice(None)
         return self._radiance(self.pictures[0], pixels), self._variance(self.pictures[0], pixels)
 
-    def at(self, camera_pixels: Index | None) -> ViewArrays:
+    def at(self, camera_pixels: slice | Index | None) -> ViewArrays:
         """Select camera pixels by their numbers; None selects all."""
         pixels = slice(None) if camera_pixels is None else camera_pixels
         radiance, variance = (

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -23,6 +24,9 @@ from rfpipe.methods.footprints.candidates import (
 )
 from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.methods.footprints.weights import fit_weights
+
+if TYPE_CHECKING:
+    from rfpipe.methods.footprints.indirect import IndirectPictures
 
 # Largest difference between D and its transpose, relative to the norm of D. Footprints of rigs that
 # aren't coaxial have nothing in common with their transpose.
@@ -50,7 +54,7 @@ def symmetrized(footprints: Candidates) -> Candidates:
 
 
 def fit_reciprocal_weights(
-    footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Iterable[Float]
+    footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Iterable[IndirectPictures]
 ) -> Candidates:
     """Fit the weights to the pictures minus indirect light, near the transposed weights.
 
@@ -60,7 +64,7 @@ def fit_reciprocal_weights(
         On all views of the projector; M = N.
     pictures : sequence of ViewPictures
         One for each view.
-    indirect : iterable of ndarray of float32, shape (M, P)
+    indirect : iterable of IndirectPictures
         Indirect light in the pictures of each view, radiance.
     """
     completed, transposed = _with_transposed_weights(footprints)

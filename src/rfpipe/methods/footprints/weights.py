@@ -28,13 +28,18 @@ The arrays of the code have all camera pixels, and only the diagonals of W and G
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rfpipe.array_types import Double, Float, Index
-from rfpipe.methods.footprints.candidates import Candidates
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.candidates import Candidates, join_pixels
+from rfpipe.methods.footprints.pictures import ViewArrays, ViewPictures
+
+if TYPE_CHECKING:
+    from rfpipe.methods.footprints.indirect import IndirectPictures
 
 MODEL_ERROR = 0.003
 """Error of the model in the fit of weights, relative to the floodlit image."""
@@ -48,16 +53,19 @@ _NEXT_PRIOR = (1.0, 0.03)
 
 
 def fit_weights(
-    candidates: Candidates, pictures: ViewPictures, indirect: Float, mean: Float | None = None
+    candidates: Candidates,
+    pictures: ViewPictures,
+    indirect: IndirectPictures,
+    mean: Float | None = None,
 ) -> Candidates:
-    """Fit the weights to the pictures minus indirect light.
+    """Fit the weights to the pictures minus indirect light, a range of camera pixels at a time.
 
     Parameters
     ----------
     candidates : Candidates
         With prior variances. Their weights are the first estimate.
     pictures : ViewPictures
-    indirect : ndarray of float32, shape (M, P)
+    indirect : IndirectPictures
         Indirect light in the pictures, radiance.
     mean : ndarray of float32, shape (K,), optional
         Prior means of the weights; 0 by default.
@@ -68,12 +76,29 @@ def fit_weights(
         With the prior standard deviation for the next fit: the weight, and 3 % of the floodlit
         image.
     """
-    residual = (pictures.radiance - indirect).astype(np.float32)
+    parts = []
+    for first, last in pictures.ranges():
+        pixels = slice(first, last)
+        entries = slice(*candidates.starts[[first, last]])
+        part = fit_weights_of_part(
+            candidates.between(first, last),
+            pictures.at(pixels),
+            indirect[pixels],
+            None if mean is None else mean[entries],
+        )
+        parts.append(part)
+    return join_pixels(parts)
+
+
+def fit_weights_of_part(
+    candidates: Candidates, pictures: ViewArrays, indirect: Float, mean: Float | None = None
+) -> Candidates:
+    """Fit the weights of some camera pixels (m,); `indirect` has the light there, (m, P)."""
     fitted = non_negative_weights(
         candidates,
         pictures.floodlit,
         pictures.patterns,
-        residual,
+        (pictures.radiance - indirect).astype(np.float32),
         pictures.inverse_variance(MODEL_ERROR),
         mean,
     )
@@ -126,49 +151,84 @@ def non_negative_weights(
 
 
 @dataclass(frozen=True)
-class MarginalPrecision:
+class MarginalPrecision(ABC):
     """Inverse covariance Lambda of each camera pixel's pictures when its weights are unknown.
-
-    It is ``W - U^T U`` with the factors U of `kernels.marginal_factors`.
 
     Attributes
     ----------
-    starts : ndarray of int64, shape (M + 1,)
-        As `Candidates.starts`.
-    factors : ndarray of float64, shape (K, P)
-        U.
-    inverse_variance : ndarray of float32, shape (M, P)
-        Diagonal of W.
+    candidate_counts : ndarray of int64, shape (M,)
+        Number of candidates of each camera pixel.
     trace : ndarray of float32, shape (M,)
         Trace of the precision of each pixel.
     """
 
-    starts: Index
-    factors: Double
-    inverse_variance: Float
+    candidate_counts: Index
     trace: Float
 
-    @property
-    def candidate_counts(self) -> Index:
-        """Number of candidates of each camera pixel, (M,)."""
-        return np.diff(self.starts)
+    @abstractmethod
+    def apply(self, pictures: Float) -> Float:
+        """Multiply each camera pixel's pictures, (M, P), by its precision."""
+
+
+@dataclass(frozen=True)
+class LowRankPrecision(MarginalPrecision):
+    """``Lambda = W - U^T U`` with the factors U of `kernels.marginal_factors`.
+
+    Attributes
+    ----------
+    factors : ndarray of float64, shape (K, P)
+        U.
+    inverse_variance : ndarray of float32, shape (M, P)
+        Diagonal of W.
+    """
+
+    factors: Double
+    inverse_variance: Float
 
     def apply(self, pictures: Float) -> Float:
         """Multiply each camera pixel's pictures, (M, P), by its precision."""
         from rfpipe.methods.footprints.kernels import apply_precision
 
+        starts = np.concatenate([[0], np.cumsum(self.candidate_counts)])
         contiguous = np.ascontiguousarray(pictures, np.float32)
-        return apply_precision(self.starts, self.factors, self.inverse_variance, contiguous)
+        return apply_precision(starts, self.factors, self.inverse_variance, contiguous)
+
+
+@dataclass(frozen=True)
+class TriangularPrecision(MarginalPrecision):
+    """``Lambda = C C^T`` with the Cholesky factors C, smaller than U where k > P / 4.
+
+    Attributes
+    ----------
+    factors : ndarray of float32, shape (M, P (P + 1) / 2)
+        Rows of the lower triangles C.
+    """
+
+    factors: Float
+
+    def apply(self, pictures: Float) -> Float:
+        """Multiply each camera pixel's pictures, (M, P), by its precision."""
+        from rfpipe.methods.footprints.kernels import apply_triangles
+
+        return apply_triangles(self.factors, np.ascontiguousarray(pictures, np.float32))
 
 
 def marginal_precision(candidates: Candidates, pictures: ViewPictures) -> MarginalPrecision:
     """Marginalise the weights of candidates, whose prior mean is 0."""
-    from rfpipe.methods.footprints.kernels import CandidateRows, marginal_factors
+    from rfpipe.methods.footprints.kernels import (
+        CandidateRows,
+        marginal_factors,
+        marginal_triangles,
+    )
 
     least = np.square(1e-3 * pictures.floodlit[candidates.camera_pixels])
     # reciprocity can make candidates of a black pixel, whose prior variance is 0
     variance = np.maximum(candidates.variance, np.maximum(least, TINY)).astype(np.float32)
     inverse_variance = pictures.inverse_variance()
     rows = CandidateRows(candidates.starts, candidates.projector_pixels, pictures.patterns)
+    counts = np.diff(rows.starts)
+    if 4 * len(variance) > inverse_variance.size:
+        triangles, trace = marginal_triangles(rows, variance, inverse_variance)
+        return TriangularPrecision(counts, trace, triangles)
     factors, trace = marginal_factors(rows, variance, inverse_variance)
-    return MarginalPrecision(rows.starts, factors, inverse_variance, trace)
+    return LowRankPrecision(counts, trace, factors, inverse_variance)
