@@ -65,7 +65,11 @@ SLOWEST_POWER = 0.25
 half the error would take sixteen times as many."""
 
 TYPICAL_POWER = 0.8
-"""Power of the number of patterns by which errors typically fall after the first round."""
+"""Power of the number of patterns by which errors typically fall after the first round.
+
+With it, 31 of 36 forecasts of all patterns after the first round of the tuning scenes, and 16 of 21
+after the second, are within a factor of 1.5; on the test scenes 8 of 13 and 6 of 8.
+"""
 
 INDIRECT_RATIO = 6.0
 """Typical error of indirect light over the total error."""
