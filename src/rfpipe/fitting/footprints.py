@@ -75,7 +75,7 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
     model = fit_model(camera, projector, grey, channels, limits=_LIMITS)
     pictures = [view for (view,) in channels or [grey]]
     indirect = [
-        next(channel.indirect.in_pictures([view]))
+        next(channel.indirect.in_pictures([view]))[:]
         for channel, view in zip(model.channels, pictures, strict=True)
     ]
     brightest = int(np.argmax([view.floodlit.sum() for view in pictures]))

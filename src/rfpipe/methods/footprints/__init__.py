@@ -23,7 +23,7 @@ Modules, in reading order:
 - `direct_light`: uses of D in the error estimate and in the residual model;
 - `method`: the acquisition in rounds, and its decisions.
 
-`kernels` has the compiled loops.
+`kernels` and `matching_kernels` have the compiled loops.
 
 Letters have the same meaning throughout the package.
 

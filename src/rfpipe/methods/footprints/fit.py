@@ -52,7 +52,6 @@ from rfpipe.methods.footprints.indirect import (
     Accuracy,
     FitData,
     IndirectLight,
-    IndirectPictures,
     fit_cores,
     fit_data,
     fit_gains,
@@ -60,7 +59,11 @@ from rfpipe.methods.footprints.indirect import (
 )
 from rfpipe.methods.footprints.matching import Boxes, boxes_of
 from rfpipe.methods.footprints.model import ChannelModel, FittedChannels
-from rfpipe.methods.footprints.pictures import ViewPictures, floodlit_by_all
+from rfpipe.methods.footprints.pictures import (
+    IndirectPictures,
+    ViewPictures,
+    floodlit_by_all,
+)
 from rfpipe.methods.footprints.reciprocity import (
     fit_reciprocal_weights,
     is_symmetric,

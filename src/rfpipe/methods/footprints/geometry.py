@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -32,11 +31,8 @@ from rfpipe.methods.footprints.matching import (
     matched_filter,
     pixels_in_boxes,
 )
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.pictures import IndirectPictures, ViewPictures
 from rfpipe.methods.footprints.weights import MODEL_ERROR, TINY, non_negative_weights
-
-if TYPE_CHECKING:
-    from rfpipe.methods.footprints.indirect import IndirectPictures
 
 # Least reduction of chi-square, the squared residual in squared standard deviations, by a new box,
 # and its least share of chi-square.
@@ -229,7 +225,8 @@ def _residual(
 
 def _chi_square(residual: Float, inverse_variance: Float) -> Float:
     """Sum up the squared residuals (m, P) in units of their variance, (m,)."""
-    return np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
+    chi_square: Float = np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
+    return chi_square
 
 
 def _brightest(strong: Candidates, camera: RayDomain) -> Index:

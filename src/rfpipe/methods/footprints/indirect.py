@@ -51,7 +51,7 @@ import numpy as np
 from rfpipe.array_types import Float, Index
 from rfpipe.methods.footprints.candidates import Candidates, split_views
 from rfpipe.methods.footprints.functions import IndirectBasis
-from rfpipe.methods.footprints.pictures import ViewArrays, ViewPictures
+from rfpipe.methods.footprints.pictures import IndirectPictures, ViewArrays, ViewPictures
 from rfpipe.methods.footprints.weights import MarginalPrecision, marginal_precision
 from rfpipe.methods.least_squares import conjugate_gradients
 from rfpipe.methods.smooth_light import learned_deviations
@@ -131,31 +131,6 @@ class IndirectLight:
             light = np.ascontiguousarray(R.T @ (view.patterns * factor), np.float32)
             operator = CoreOperator(self.basis, self.basis.L, f, light)
             yield IndirectPictures(operator.L, f, operator.exchanged(self.core_parts))
-
-
-@dataclass(frozen=True)
-class IndirectPictures:
-    """Indirect light in the pictures of a projector view, computed where it is used.
-
-    It is the product ``diag(f) L (S J)``, of which ``[rays]`` computes rows, (m, P).
-
-    Attributes
-    ----------
-    L : csr_array of float32, shape (M, n)
-    f : ndarray of float32, shape (M,)
-    received : ndarray of float32, shape (n, P)
-        S J.
-    """
-
-    L: csr_array[np.float32]
-    f: Float
-    received: Float
-
-    def __getitem__(self, rays: slice | Index) -> Float:
-        """Compute the light at camera rays, (m, P)."""
-        images: Float = self.L[rays] @ self.received
-        images *= self.f[rays, None]
-        return images
 
 
 @dataclass(frozen=True)

@@ -44,7 +44,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,6 +54,9 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import unique_keys
 from rfpipe.methods.footprints.pictures import ViewPictures
 from rfpipe.ranges import ranges
+
+if TYPE_CHECKING:
+    from rfpipe.methods.footprints.matching_kernels import AxisAverages
 
 # Largest number of pairs of a series and a box to compare: half a minute.
 _MOST_PAIRS = 2**31
@@ -65,18 +68,6 @@ _GRID_PIXELS = 2048
 _LARGEST_STEP = 8
 # Cells of coarse light along the short side of the projector's image.
 _COARSE_CELLS = 6
-
-
-class AxisAverages(NamedTuple):
-    """Averages over boxes at half-pixel positions along an axis.
-
-    Position ``2 k + parity`` is centred at ``k + (parity + 1) / 2`` pixels. Its box has the weights
-    ``weights[parity]``, whose sum is 1, of the pixels from ``k + shift[parity]`` on. Light outside
-    the image counts as 0: correlations don't depend on the sum of the weights.
-    """
-
-    shift: Index  # (2,)
-    weights: Float  # (2, pixels of a box)
 
 
 @dataclass(frozen=True)
@@ -153,6 +144,8 @@ def boxes_of(projector: RayDomain, pixels_across: float) -> Boxes:
 
 def _averages(side: float) -> AxisAverages:
     """Compute the averages over boxes at half-pixel positions along an axis."""
+    from rfpipe.methods.footprints.matching_kernels import AxisAverages
+
     centre = np.array([[0.5], [1.0]])
     shift = np.floor(centre - side / 2).astype(np.int64)
     pixel = shift + np.arange(int(side) + 2)
@@ -258,7 +251,8 @@ def relative_series(pictures: ViewPictures, camera_pixels: Index) -> Float:
 def _on_grid(pixels: Index, camera: RayDomain, step: int) -> Index:
     """Select the camera pixels whose row and column are multiples of `step`."""
     _, row, column = np.unravel_index(pixels, camera.stack_shape)
-    return pixels[(row % step == 0) & (column % step == 0)]
+    on_grid: Index = pixels[(row % step == 0) & (column % step == 0)]
+    return on_grid
 
 
 @dataclass(frozen=True)

@@ -6,15 +6,24 @@ pixel. Its average over a box is the product of the series with the box.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 
 from rfpipe.array_types import Double, Float, Index
 
-if TYPE_CHECKING:
-    from rfpipe.methods.footprints.matching import AxisAverages
+
+class AxisAverages(NamedTuple):
+    """Averages over boxes at half-pixel positions along an axis.
+
+    Position ``2 k + parity`` is centred at ``k + (parity + 1) / 2`` pixels. Its box has the weights
+    ``weights[parity]``, whose sum is 1, of the pixels from ``k + shift[parity]`` on. Light outside
+    the image counts as 0: correlations don't depend on the sum of the weights.
+    """
+
+    shift: Index  # (2,)
+    weights: Float  # (2, pixels of a box)
 
 
 @njit(cache=True, nogil=True, fastmath=True)

@@ -15,6 +15,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +25,9 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import SIGNIFICANCE
 from rfpipe.methods.images import Pictures
 from rfpipe.ranges import ranges
+
+if TYPE_CHECKING:
+    from scipy.sparse import csr_array
 
 # Errors of any model, relative to the floodlit image of the pixel and to its mean over all pixels.
 _MODEL_ERROR, _LEAST_ERROR = 0.002, 1e-5
@@ -248,6 +252,31 @@ class PackedView(ViewPictures):
         planes = _VARIANCES[picture.variance[0, self.channels][:, pixels]]
         total: Float = planes.sum(axis=0)
         return total
+
+
+@dataclass(frozen=True)
+class IndirectPictures:
+    """Indirect light in the pictures of a projector view, computed where it is used.
+
+    It is the product ``diag(f) L (S J)``, of which ``[rays]`` computes rows, (m, P).
+
+    Attributes
+    ----------
+    L : csr_array of float32, shape (M, n)
+    f : ndarray of float32, shape (M,)
+    received : ndarray of float32, shape (n, P)
+        S J.
+    """
+
+    L: csr_array[np.float32]
+    f: Float
+    received: Float
+
+    def __getitem__(self, rays: slice | Index) -> Float:
+        """Compute the light at camera rays, (m, P)."""
+        images: Float = self.L[rays] @ self.received
+        images *= self.f[rays, None]
+        return images
 
 
 def radiance_unit(floodlit: Pictures) -> float:

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,11 +21,8 @@ from rfpipe.methods.footprints.candidates import (
     split_views,
     unique_keys,
 )
-from rfpipe.methods.footprints.pictures import ViewPictures
+from rfpipe.methods.footprints.pictures import IndirectPictures, ViewPictures
 from rfpipe.methods.footprints.weights import fit_weights
-
-if TYPE_CHECKING:
-    from rfpipe.methods.footprints.indirect import IndirectPictures
 
 # Largest difference between D and its transpose, relative to the norm of D. Footprints of rigs that
 # aren't coaxial have nothing in common with their transpose.

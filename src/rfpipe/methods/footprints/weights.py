@@ -30,16 +30,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from rfpipe.array_types import Double, Float, Index
 from rfpipe.methods.footprints.candidates import Candidates, join_pixels
-from rfpipe.methods.footprints.pictures import ViewArrays, ViewPictures
-
-if TYPE_CHECKING:
-    from rfpipe.methods.footprints.indirect import IndirectPictures
+from rfpipe.methods.footprints.pictures import IndirectPictures, ViewArrays, ViewPictures
 
 MODEL_ERROR = 0.003
 """Error of the model in the fit of weights, relative to the floodlit image."""
