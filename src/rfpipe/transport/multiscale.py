@@ -13,6 +13,7 @@ over the grid of the cells, whose unit of length is a cell.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from numpy.typing import NDArray
 
 from rfpipe.array_types import Float, FunctionTable, Numbers
 from rfpipe.blocks import RayDomain
+from rfpipe.ranges import ranges
 from rfpipe.transport.function_pairs import FunctionPairTransport
 from rfpipe.transport.wavelet import Cells
 
@@ -36,6 +38,9 @@ _NEAR_RATIO = 4
 
 # Columns of light that are multiplied by S at a time, so that they stay in the cache.
 _COLUMNS_PER_BATCH = 64
+
+# Values of functions that are computed at a time.
+_VALUES_PER_BATCH = 2**22
 
 SCALE, VIEW, ROW, COLUMN = range(4)
 """Columns of a `FunctionTable`."""
@@ -98,21 +103,39 @@ class MultiscaleBasis:
     @cached_property
     def weights(self) -> csr_array[np.float32]:
         """The functions' values, sparse float32 (N, n)."""
+        from scipy.sparse import csr_array, vstack
+
+        views, height, width = RayDomain(self.shape).stack_shape
+        grids = {
+            int(scale): function_grid(self.functions, self.shape, int(scale))
+            for scale in np.unique(self.scales)
+        }
+        rows = max(1, _VALUES_PER_BATCH // (9 * width * max(1, len(grids))))
+        parts = [
+            self._weights_of_rows({scale: grid[view] for scale, grid in grids.items()}, first, last)
+            for view in range(views)
+            for first, last in ranges(height, rows)
+        ]
+        return parts[0] if len(parts) == 1 else csr_array(vstack(parts, format="csr"))
+
+    def _weights_of_rows(
+        self, grids: Mapping[int, Numbers], first: int, last: int
+    ) -> csr_array[np.float32]:
+        """Compute the values at rows ``first:last`` of a view, of the functions on its grids."""
         from scipy.sparse import csr_array
 
-        height, width = RayDomain(self.shape).image_shape
+        width = self.shape[-1]
         rays, owners, values = [], [], []
-        for scale in np.unique(self.scales):
-            row, y = spline_values(np.arange(height) + 0.5, int(scale))
-            column, x = spline_values(np.arange(width) + 0.5, int(scale))
-            grid = function_grid(self.functions, self.shape, int(scale))
-            number = grid[:, row[:, None, :, None], column[None, :, None, :]]
+        for scale, grid in grids.items():
+            row, y = spline_values(np.arange(first, last) + 0.5, scale)
+            column, x = spline_values(np.arange(width) + 0.5, scale)
+            number = grid[row[:, None, :, None], column[None, :, None, :]]
             existing = np.flatnonzero(number >= 0)
             value = (y[:, None, :, None] * x[None, :, None, :]).ravel()
-            rays.append(existing // (y.shape[1] * x.shape[1]))
+            rays.append((existing // (y.shape[1] * x.shape[1])).astype(np.int32))
             owners.append(number.ravel()[existing])
-            values.append(value[existing % len(value)])
-        shape = (int(np.prod(self.shape)), len(self))
+            values.append(value[existing])
+        shape = ((last - first) * width, len(self))
         index = (np.concatenate(rays), np.concatenate(owners))
         return csr_array((np.concatenate(values), index), shape=shape).astype(np.float32)
 
