@@ -137,7 +137,9 @@ class MultiscaleBasis:
             values.append(value[existing])
         shape = ((last - first) * width, len(self))
         index = (np.concatenate(rays), np.concatenate(owners))
-        return csr_array((np.concatenate(values), index), shape=shape).astype(np.float32)
+        return csr_array((np.concatenate(values), index), shape=shape).astype(
+            np.float32, copy=False
+        )
 
     @cached_property
     def sums(self) -> csr_array[np.float32]:
