@@ -8,6 +8,7 @@ from tests.rigs.known_matrix import scene_matrices
 
 from rfpipe.methods.error_estimate import (
     HELD_OUT,
+    HELD_OUT_OF_PRIOR,
     estimate_error,
     held_out_parts,
     held_out_patterns,
@@ -56,7 +57,8 @@ def test_patterns_are_shapes_twice_bars_and_spots(shape: tuple[int, ...]) -> Non
     patterns = held_out_patterns(shape)
     assert patterns.shape == (6, *shape)
     assert patterns.any(axis=tuple(range(1, patterns.ndim))).all()
-    np.testing.assert_array_equal(patterns[0], patterns[1])
+    np.testing.assert_array_equal(patterns[0], patterns[3])
+    assert set(HELD_OUT[:HELD_OUT_OF_PRIOR]) == set(HELD_OUT)
     for index, (kind, parts) in enumerate(zip(HELD_OUT, held_out_parts(shape), strict=True)):
         np.testing.assert_array_equal(parts.sum(axis=0), patterns[index].ravel())
         assert len(parts) <= {"shapes": 1, "bars": 5, "spots": 20}[kind]
@@ -109,7 +111,7 @@ def test_estimates_the_error_of_the_indirect_light_of_parts(relative: float, sig
 def test_each_spot_counts_separately() -> None:
     """One of forty spots is missing, in two pictures of twenty."""
     pictures, _ = held_out(0.0)
-    missing = held_out_parts(SHAPE)[3][0]
+    missing = held_out_parts(SHAPE)[2][0]
     lit = pictures.lit[:, None].astype(np.float32)
     identity = np.eye(pictures.lit.shape[1])[None]
     exact = Pictures(pictures.lit, lit, np.zeros_like(lit))

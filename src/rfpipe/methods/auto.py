@@ -22,6 +22,7 @@ class Auto(MethodDescription):
     colour = "#2a2a2a"
     marker = "h"
     estimates_error = True
+    uses_prior = True
     Options = ErrorOptions
     trades = "target_error"
     trials = NearFar.trials

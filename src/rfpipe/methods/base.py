@@ -195,6 +195,9 @@ class MethodDescription:
         Whether it relies on ``T = T^T``.
     estimates_error : bool
         Whether its rows of levels have an ``estimated_error``.
+    uses_prior : bool
+        Whether it can begin with the transport of an earlier acquisition; its state then has a
+        field ``prior``.
     bytes_per_ray : int or None
         Memory of an acquisition for each camera ray in bytes, measured at 10^3 to 10^5 rays; None
         for methods that keep all pictures in memory.
@@ -213,6 +216,7 @@ class MethodDescription:
     line: str = "-"
     needs_coaxial_rig: bool = False
     estimates_error: bool = False
+    uses_prior: bool = False
     bytes_per_ray: int | None = None
     Options: type[Options] = Options
     trades: str | None = None

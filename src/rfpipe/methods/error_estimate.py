@@ -66,10 +66,17 @@ from rfpipe.relighting import (
 )
 from rfpipe.transport.base import Transport
 
-HELD_OUT = ("shapes", "shapes", "bars", "spots", "bars", "spots")
-"""Kinds of the held-out pictures. The first two have one pattern: their difference is noise."""
+HELD_OUT = ("shapes", "bars", "spots", "shapes", "bars", "spots")
+"""Kinds of the held-out pictures. Both pictures of shapes have one pattern: their difference is
+noise."""
+
+HELD_OUT_OF_PRIOR = 3
+"""Number of held-out pictures, one of each kind, that are taken first to judge a prior."""
+
+_REPEATED = [0, 3]  # the pictures of shapes
 
 _SEED = 2010
+_KEYS = (1, 2, 3, 1, 4, 5)  # of the random parts of each picture
 _BARS = 5  # at most, in one pattern
 _SPOTS = 20  # at most, in one pattern
 # Largest share of the rays that the bars or spots of a pattern light; small images have fewer.
@@ -127,13 +134,13 @@ def held_out_parts(shape: tuple[int, ...]) -> tuple[Bools, ...]:
     """
     domain, patterns = RayDomain(shape), []
     image = domain.image_shape
-    for index, kind in enumerate(HELD_OUT):
-        random = generator(_SEED, max(index, 1))
+    for index, (kind, key) in enumerate(zip(HELD_OUT, _KEYS, strict=True)):
+        random = generator(_SEED, key)
         if kind == "shapes":
             parts = shapes(image, random, _SHAPES_LIT)[None]
         elif kind == "bars":
             # the second bars are perpendicular to the first
-            parts = _bars(image, random, (0.15 + index / 4) * np.pi)
+            parts = _bars(image, random, (0.15 + key / 4) * np.pi)
         else:
             parts = _spots(image, random)
         views = np.ones((len(parts), domain.views, 1, 1), np.bool_)
@@ -199,19 +206,20 @@ def estimate_error(
     """Estimate a transport's mean error from the held-out pictures.
 
     Noise is subtracted: the variances of the pictures, scaled to the difference of the two pictures
-    of the first pattern where that contradicts them. Pixels that are unknown or saturated don't
+    of one pattern where that contradicts them. Pixels that are unknown or saturated don't
     count.
 
     Parameters
     ----------
     transport : Transport
     held_out : Pictures
-        Of `held_out_patterns`, in their order.
+        Of the first `HELD_OUT_OF_PRIOR`, or all, of `held_out_patterns`, in their order.
     floodlit : ndarray of float32, shape (C, M)
     dark : ndarray of bool, shape (pictures, M)
         Pixels without direct light.
     """
-    patterns, known = held_out_parts(transport.projector_shape), held_out.measured
+    patterns = held_out_parts(transport.projector_shape)[: len(held_out.lit)]
+    known = held_out.measured
     every_ray = np.ones((1, patterns[0].shape[1]), np.bool_)
     difference = relight_white(transport, every_ray)[0] - floodlit
     floodlit_squared_error = float(np.square(difference[:, known], dtype=np.float64).sum())
@@ -272,16 +280,18 @@ class _Comparison:
 def _noise_variance(held_out: Pictures) -> Double:
     """Estimate the variance of each pixel's noise, summed over channels, (pictures, M).
 
-    The pictures' variances are scaled to the difference of the first two where it contradicts them:
-    where their noise is mostly that of a few bright pixels, the difference is less certain than the
-    variances of a calibrated camera.
+    The pictures' variances are scaled to the difference of the two pictures of one pattern, if both
+    were taken, where it contradicts them: where their noise is mostly that of a few bright pixels,
+    the difference is less certain than the variances of a calibrated camera.
     """
     known = held_out.measured
     stated = np.zeros(held_out.radiance.shape[::2])
     for total, image in zip(stated, held_out.variance, strict=True):
         total[known] = image[:, known].sum(axis=0, dtype=np.float64)
-    first, second = held_out.radiance[:2][..., known]
-    variance = held_out.variance[:2][..., known].sum(axis=0, dtype=np.float64)
+    if len(held_out.lit) <= max(_REPEATED):
+        return stated
+    first, second = held_out.radiance[_REPEATED][..., known]
+    variance = held_out.variance[_REPEATED][..., known].sum(axis=0, dtype=np.float64)
     expected = float(variance.sum())
     measured = float(np.square(np.subtract(first, second, dtype=np.float64)).sum())
     # the square of normal noise of the variance v has the variance 2 v^2
@@ -398,7 +408,7 @@ def _mean_error_of_kind(
     """Estimate the mean error of all parts of a kind of pictures."""
     columns = [
         np.stack([comparison.part_squared_error, comparison.part_deviation, reference])
-        for name, comparison, reference in zip(HELD_OUT, comparisons, references, strict=True)
+        for name, comparison, reference in zip(HELD_OUT, comparisons, references, strict=False)
         if name == kind
     ]
     return _mean_error(*np.hstack(columns))
@@ -412,7 +422,7 @@ def _indirect_error(comparisons: Sequence[_Comparison], lit: Double) -> float:
     columns = [(it.dark_squared_error, it.dark_deviation, it.dark_light) for it in comparisons]
     squared_error, deviation, light = np.array(columns).T
     reference = reference_light(light, typical_indirect(light, lit))
-    kinds = np.array(HELD_OUT)
+    kinds = np.array(HELD_OUT[: len(comparisons)])
     masks = (kinds == kind for kind in KINDS)
     return float(
         np.mean([_mean_error(squared_error[m], deviation[m], reference[m]) for m in masks])

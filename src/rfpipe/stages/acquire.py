@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from dataclasses import dataclass
+from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any, get_args
 
@@ -32,7 +33,7 @@ from rfpipe.stages.verification import (
 from rfpipe.storage.base import VERIFICATION
 from rfpipe.storage.memory import MemoryStorage
 from rfpipe.storage.picture_counts import PictureCounts, captured_pictures
-from rfpipe.transport import Transport
+from rfpipe.transport import Transport, open_transport
 from rfpipe.units import SYMMETRY_BRACKETS
 
 if TYPE_CHECKING:
@@ -106,6 +107,7 @@ def acquire(
     rig: Rig,
     method: str | MethodDescription = "symmetric",
     *,
+    prior: Transport | str | Path | None = None,
     progress: bool = True,
     all_off_brackets: int | None = None,
     all_on_brackets: int | None = None,
@@ -127,6 +129,10 @@ def acquire(
     method : str or MethodDescription
         A name in `rfpipe.methods.method_names`, the path of your own class as
         ``module:Class`` or ``file.py:Class``, or a method itself.
+    prior : Transport or path, optional
+        Transport of the same rig, of an earlier acquisition of this or a similar scene, or its
+        store. Three pictures show whether it meets the target or helps to; otherwise it is dropped.
+        Whether the rig is coaxial is then not measured: the prior shows it.
     progress : bool
         Whether to show progress bars of captures and fits on stderr.
     all_off_brackets : int, optional
@@ -184,7 +190,9 @@ def acquire(
     began = perf_counter()
     description, storage = get_method(method), MemoryStorage()
     rays = rig.camera_shape, rig.projector_shape, rig.channels
-    plan = Plan.of(description.name, description, rays, options, asymmetry)
+    if isinstance(prior, str | Path):
+        prior = open_transport(prior)
+    plan = Plan.of(description.name, description, rays, options, asymmetry, prior)
     settings = AcquisitionSettings(
         all_off_brackets=all_off_brackets,
         all_on_brackets=all_on_brackets,

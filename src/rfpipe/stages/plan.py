@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rfpipe.blocks import RayDomain
+from rfpipe.errors import InputError
 from rfpipe.methods import (
     Method,
     MethodDescription,
@@ -16,9 +17,15 @@ from rfpipe.methods import (
     options_of,
 )
 from rfpipe.methods.base import DEFAULT_TARGET, check_rays
+from rfpipe.methods.error_estimate import HELD_OUT_OF_PRIOR
 from rfpipe.references.symmetry import is_coaxial, log_asymmetry, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.storage.base import Storage
+from rfpipe.transport.base import Transport
+from rfpipe.transport.filling import looks_coaxial
+
+_PATTERNS_WITH_PRIOR = 1 + HELD_OUT_OF_PRIOR
+"""Patterns after which an acquisition of an unchanged scene ends."""
 
 
 @dataclass(frozen=True)
@@ -42,6 +49,8 @@ class Plan:
     accepted_asymmetry : float
         Accepted error in relit pictures, relative to their norm, of treating the rig as coaxial.
         `for_measured_rig` chooses the method by it.
+    prior : Transport, optional
+        Transport of an earlier acquisition with this rig.
     """
 
     name: str
@@ -52,6 +61,7 @@ class Plan:
     channels: int
     options: Options
     accepted_asymmetry: float
+    prior: Transport | None = None
 
     @classmethod
     def of(
@@ -61,6 +71,7 @@ class Plan:
         rays: tuple[Sequence[int], Sequence[int], int],
         options: Mapping[str, Any] | None = None,
         accepted_asymmetry: float = 0.05,
+        prior: Transport | None = None,
     ) -> Plan:
         """Make the plan of a method.
 
@@ -72,31 +83,38 @@ class Plan:
             Shapes of the camera's and of the projector's `RayDomain`, and number of channels.
         options : mapping, optional
             Options that differ from their defaults.
+        prior : Transport, optional
+            It tells whether the rig is coaxial, which isn't measured again.
 
         Raises
         ------
         InputError
-            If the method has no such option, or doesn't fit the rays.
+            If the method has no such option, or doesn't fit the rays or the prior.
         """
         description = get_method(method)
         camera_shape, projector_shape, channels = rays
         camera, projector = RayDomain(tuple(camera_shape)), RayDomain(tuple(projector_shape))
         check_rays(description, camera, projector)
+        if prior is not None:
+            _check_prior(prior, description, (camera.shape, projector.shape, channels))
         return cls(
             name,
             description,
-            description.for_rig(camera, projector),
+            description.for_rig(camera, projector, None if prior is None else looks_coaxial(prior)),
             camera,
             projector,
             channels,
             options_of(description, **(options or {})),
             accepted_asymmetry,
+            prior,
         )
 
     @property
     def measures_symmetry(self) -> bool:
         """True if the rig's symmetry is measured by patterns captured with level 0."""
-        return self.description.measures_symmetry(self.camera, self.projector)
+        return self.prior is None and self.description.measures_symmetry(
+            self.camera, self.projector
+        )
 
     @property
     def target_error(self) -> float:
@@ -106,6 +124,8 @@ class Plan:
     @property
     def expected_patterns(self) -> int:
         """Number of patterns that the method is expected to show."""
+        if self.prior is not None:
+            return _PATTERNS_WITH_PRIOR
         forecast = self.description.forecast(
             self.camera, self.projector, self.channels, self.options
         )
@@ -113,7 +133,8 @@ class Plan:
 
     def start(self) -> Any:
         """Return the method's state before level 0."""
-        return self.method.start(self.camera, self.projector, self.channels, self.options)
+        state = self.method.start(self.camera, self.projector, self.channels, self.options)
+        return state if self.prior is None else replace(state, prior=self.prior)
 
     def restored_state(self, storage: Storage, level: int) -> Any:
         """Read the method's state before a level; large arrays are read when first used.
@@ -163,3 +184,26 @@ class Plan:
             "channels": self.channels,
             "options": self.options.options(),
         }
+
+
+def _check_prior(
+    prior: Transport,
+    description: MethodDescription,
+    rays: tuple[tuple[int, ...], tuple[int, ...], int],
+) -> None:
+    """Raise InputError for a prior of another rig, or a method that can't use one."""
+    if not description.uses_prior:
+        raise InputError(
+            f"{description.title.lower()} can't begin with a prior; use auto, near_far or "
+            "footprints, or leave prior out"
+        )
+    if (prior.camera_shape, prior.projector_shape, prior.channels) != rays:
+        raise InputError(
+            f"the prior is {prior}, but the rig has camera {rays[0]}, projector {rays[1]}, "
+            f"{rays[2]} channels; a prior is a transport of the same rig"
+        )
+    if description.needs_coaxial_rig and not looks_coaxial(prior):
+        raise InputError(
+            f"the prior isn't symmetric, but {description.title.lower()} needs a coaxial rig; use "
+            "auto or footprints"
+        )

@@ -4,16 +4,17 @@ A *round* is one level of an acquisition: patterns, their pictures, and the fit 
 acquisition passes through phases, each of several rounds and each of which it may skip::
 
     floodlit            one picture, from which a first model is made
+    prior               three held-out pictures, which judge a transport of an earlier acquisition
     model               random patterns; the model is fitted to all pictures so far
     residual            random blocks; the residual of the model is fitted
     hierarchy           symmetric or dual photography, for light that no model describes; a round
                         shows one level of the block tree
     hierarchy residual  random blocks; the residual of the hierarchy is fitted
 
-With the first round six held-out pictures are taken. After each round the transport that predicts
-them best is the current result, and its error on them is the estimated error
-(`rfpipe.methods.error_estimate`). The method then decides on the next phase, or to end
-(`rfpipe.methods.adaptive.decisions`).
+With the first round of the model six held-out pictures are taken, or three more after a prior.
+After each round the transport that predicts them best is the current result, and its error on them
+is the estimated error (`rfpipe.methods.error_estimate`). The method then decides on the next phase,
+or to end (`rfpipe.methods.adaptive.decisions`).
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from rfpipe.methods.adaptive.forecast import (
     target_of,
 )
 from rfpipe.methods.adaptive.model import AdaptiveModel
+from rfpipe.methods.adaptive.prior import pooled_estimate
 from rfpipe.methods.adaptive.rounds import Rounds, next_round, random_pattern_count
 from rfpipe.methods.adaptive.state import (
     STOPPING_FRACTION,
@@ -71,6 +73,10 @@ from rfpipe.transport.sum import SumTransport
 
 _log = logging.getLogger(__name__)
 
+USEFUL_PRIOR = 0.05
+"""Estimated error of a prior above which the acquisition continues without it. The first round of a
+model leaves about as much; a prior with an error of 10 % cost more patterns than none."""
+
 # The residual of a model is kept if it leaves less than this share of the error.
 _RESIDUAL_GAIN = 0.95
 
@@ -98,6 +104,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     """
 
     estimates_error = True
+    uses_prior = True
     Options = ErrorOptions
     trades = "target_error"
     State: ClassVar[type[AdaptiveState]]
@@ -142,7 +149,9 @@ class AdaptiveMethod(Method[AdaptiveState]):
             patterns = self._model(state).next_patterns(coming.key, coming.count)
         else:
             patterns = block_patterns(residual_cells(shape), coming.key, coming.count)
-        weights = np.concatenate([held_out_patterns(shape)[: coming.held_out], patterns])
+        before = 0 if state.held_out is None else len(state.held_out.lit)
+        held_out = held_out_patterns(shape)[before : before + coming.held_out]
+        weights = np.concatenate([held_out, patterns])
         return Schedule(coming.key, shape, len(weights), weights=weights.astype(np.float32))
 
     def refine(
@@ -158,7 +167,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         row = level_row(state.level, images.schedule.count)
         after = replace(state, rows=(*state.rows, row))
         if shown.held_out:
-            after = replace(after, held_out=_read(state, images, 0, shown.held_out))
+            after = after.with_held_out(_read(state, images, 0, shown.held_out))
         if shown.count and shown.phase is Phase.MODEL:
             after = self._with_model_pictures(after, images, shown.held_out)
             after, best = self._fit_model(after)
@@ -167,6 +176,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
             after, best = self._fit_residual(after.with_cell_pictures(cell_pictures))
         else:
             best = self._best(after)
+        if shown.phase is Phase.PRIOR:
+            return self._after_prior(after, best)
         after = _with_estimate_of(after, state, best)
         is_last = shown.index + 1 == len(self.rounds(state.projector)[shown.phase])
         decision = end(after) or self.decide(after, shown.phase, is_last)
@@ -197,7 +208,21 @@ class AdaptiveMethod(Method[AdaptiveState]):
         model = self.first_model(state, floodlit)
         after = replace(state, rows=(row,), floodlit=floodlit, model=model)
         after = _with_prepared(after, model, _camera_cells(after), [floodlit])
-        return self._continue(after, Decision(Phase.MODEL))
+        phase = Phase.MODEL if state.prior is None else Phase.PRIOR
+        return self._continue(after, Decision(phase))
+
+    def _after_prior(self, state: AdaptiveState, best: Candidate) -> AdaptiveState:
+        """End with the prior, continue from it, or drop it."""
+        assert state.prior is not None
+        after = state.with_estimate(pooled_estimate(best.estimate, state.prior))
+        if best.estimate.error <= USEFUL_PRIOR or after.meets_target:
+            return self._continue(after, end(after) or Decision(Phase.MODEL))
+        _log.info("the prior has an error of %.2g; continuing without it", best.estimate.error)
+        after = replace(after, prior_is_refuted=True)
+        after = replace(after, model=self.first_model(after, _floodlit(after)))
+        # the row has the estimate of what is returned if the acquisition ends here
+        after = after.with_estimate(self._best(after).estimate)
+        return self._continue(replace(after, estimates=()), Decision(Phase.MODEL))
 
     def _with_model_pictures(
         self, state: AdaptiveState, images: LevelImages, first: int

@@ -5,7 +5,7 @@ from __future__ import annotations
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import next_pattern_count
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, Round
-from rfpipe.methods.error_estimate import HELD_OUT
+from rfpipe.methods.error_estimate import HELD_OUT, HELD_OUT_OF_PRIOR
 
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
 """Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
@@ -17,7 +17,12 @@ Rounds = dict[Phase, tuple[int, ...]]
 def hierarchy_rounds(projector: RayDomain) -> Rounds:
     """Return the rounds of a hierarchy below its floodlit level, and of its residual."""
     levels = BlockTree(projector).n_levels - 1
-    return {Phase.HIERARCHY: (0,) * levels, Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS}
+    return {
+        Phase.HIERARCHY: (0,) * levels,
+        Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS,
+        # last, so that a prior doesn't change the random patterns of other phases
+        Phase.PRIOR: (0,),
+    }
 
 
 def random_pattern_count(rounds: Rounds) -> int:
@@ -50,15 +55,17 @@ def next_round(
     if phase is Phase.HIERARCHY:
         is_complete = not len(state.hierarchy_state.frontier)
         return None if is_complete else Round(phase, index, key)
-    is_useful = phase is not Phase.MODEL or is_suitable
-    count = next_pattern_count(state, rounds[phase][index]) if is_useful else 0
-    held_out, count = _within_limit(state, count)
+    largest_count = rounds[phase][index]
+    is_useful = largest_count > 0 and (phase is not Phase.MODEL or is_suitable)
+    count = next_pattern_count(state, largest_count) if is_useful else 0
+    held_out, count = _within_limit(state, phase, count)
     return Round(phase, index, key, held_out, count) if held_out + count else None
 
 
-def _within_limit(state: AdaptiveState, count: int) -> tuple[int, int]:
+def _within_limit(state: AdaptiveState, phase: Phase, count: int) -> tuple[int, int]:
     """Return the numbers of held-out and of random patterns, within the options' limit."""
-    held_out = len(HELD_OUT) if state.held_out is None else 0
+    wanted = HELD_OUT_OF_PRIOR if phase is Phase.PRIOR else len(HELD_OUT)
+    held_out = wanted - (0 if state.held_out is None else len(state.held_out.lit))
     if not state.options.patterns:
         return held_out, count
     remaining = state.options.patterns - state.patterns_shown

@@ -16,6 +16,7 @@ from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CellPictures, Residual
 from rfpipe.methods.states import MethodState, joined, with_prefix, without_prefix
+from rfpipe.transport.base import Transport
 
 STOPPING_FRACTION = 0.95
 """Estimated error at which an acquisition ends, relative to the target.
@@ -25,13 +26,15 @@ deviation of 15 % from 32 x 36 pixels on and of 20 % on smaller images. With thi
 results have an error of at most 1.2 times the target.
 """
 
-_PLAIN = ("residual_of_hierarchy", "hierarchy_tolerance")
+_PLAIN = ("residual_of_hierarchy", "hierarchy_tolerance", "prior_is_refuted")
 
 
 class Phase(StrEnum):
     """Phases of an acquisition, in their order; each may be skipped."""
 
     FLOODLIT = "floodlit"
+    PRIOR = "prior"
+    """Held-out pictures of each kind, which judge the prior."""
     MODEL = "model"
     """Rounds of random patterns for the model."""
     RESIDUAL = "residual"
@@ -95,6 +98,10 @@ class AdaptiveState(MethodState):
         Numbers of the acquisition's levels that refined the hierarchy.
     hierarchy_tolerance : float
         Tolerance of symmetric or dual photography; 0 before it begins.
+    prior : Transport, optional
+        Transport of the same rig, of an earlier acquisition of this or a similar scene.
+    prior_is_refuted : bool
+        Whether held-out pictures have shown that the prior doesn't help.
     """
 
     hierarchy_method: ClassVar[str]
@@ -116,8 +123,15 @@ class AdaptiveState(MethodState):
     hierarchy_state: Any = None
     hierarchy_levels: tuple[int, ...] = ()
     hierarchy_tolerance: float = 0.0
+    prior: Transport | None = None
+    prior_is_refuted: bool = False
 
     # --- derived quantities
+
+    @property
+    def accepted_prior(self) -> Transport | None:
+        """The prior, unless the held-out pictures refuted it."""
+        return None if self.prior_is_refuted else self.prior
 
     @property
     def patterns_shown(self) -> int:
@@ -164,6 +178,11 @@ class AdaptiveState(MethodState):
         if estimate.indirect <= 1:
             entries["estimated_indirect"] = estimate.indirect
         return replace(self.with_row(**entries), estimates=(*self.estimates, estimate))
+
+    def with_held_out(self, pictures: Pictures) -> Self:
+        """Add held-out pictures."""
+        parts = [pictures] if self.held_out is None else [self.held_out, pictures]
+        return replace(self, held_out=joined(parts, axis=0))
 
     def with_pictures(self, parts: Sequence[Any]) -> Self:
         """Add pictures of a round of the model, prepared for its fit."""

@@ -24,6 +24,7 @@ from rfpipe.methods.adaptive.decisions import (
 )
 from rfpipe.methods.adaptive.forecast import HierarchyCost
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.adaptive.prior import parts_of
 from rfpipe.methods.adaptive.rounds import Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import StateArrays
@@ -145,6 +146,8 @@ class FootprintModel:
         The arrays of the fitted `FootprintTransport`; None before the first fit.
     footprints : Candidates, optional
         Footprints of the channels' sum, in the unit of the fit: the start of the next search.
+    prior : Transport, optional
+        The transport before the first fit.
     """
 
     camera: RayDomain
@@ -154,6 +157,7 @@ class FootprintModel:
     is_suitable: bool
     arrays: dict[str, NDArray[Any]] | None = None
     footprints: Candidates | None = None
+    prior: Transport | None = None
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -188,8 +192,10 @@ class FootprintModel:
         hierarchy: Transport | None = None,
     ) -> SumTransport:
         """Assemble footprints with indirect light, or the hierarchy, and the residual."""
-        base = self.fitted_transport() if hierarchy is None else hierarchy
-        return SumTransport([base, *residual], rows)
+        if hierarchy is not None:
+            return SumTransport([hierarchy, *residual], rows)
+        base = parts_of(self.prior) if self.arrays is None else ()
+        return SumTransport([*(base or [self.fitted_transport()]), *residual], rows)
 
     def dark_pixels(self, lit: Bools) -> Bools:
         """Find the camera pixels with at most 2 % of their direct light."""
@@ -200,8 +206,12 @@ class FootprintModel:
         return projector_cells(self.fitted_transport().direct(), base, camera)
 
     def fitted_transport(self) -> FootprintTransport:
-        """Return the fit; before it, the floodlit image spread evenly over the projector."""
+        """Return the fit; before it, that of the prior, or the floodlit image spread evenly."""
         arrays = self.arrays
+        if arrays is None:
+            for part in parts_of(self.prior):
+                if isinstance(part, FootprintTransport):
+                    return part
         if arrays is None:
             arrays = uniform_arrays(self.floodlit, self.projector.size)
         shapes = self.camera.shape, self.projector.shape
@@ -261,7 +271,14 @@ def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
     suits = suits_random_patterns(state.projector, state.options.patterns)
     is_suitable = suits and floodlit.has_light()
     unit = radiance_unit(floodlit)
-    return FootprintModel(state.camera, state.projector, floodlit.floodlit, unit, is_suitable)
+    return FootprintModel(
+        state.camera,
+        state.projector,
+        floodlit.floodlit,
+        unit,
+        is_suitable,
+        prior=state.accepted_prior,
+    )
 
 
 class Footprints(AdaptiveMethod):

@@ -209,10 +209,13 @@ def channel_data(cells: Cells, floodlit: Pictures, pictures: SplitPictures) -> C
     dark_weight, dark_data = _weighted(dark_factor, dark, dark_variance)
     lit_weight, lit_data = _weighted(lit_factor, pictures.excess[:, 0], pictures.lit_variance[:, 0])
     mean = float(image.mean(dtype=np.float64))
-    indirect = 2 * float(dark.sum(dtype=np.float64)) / max(float(pictures.dark_count.sum()), 1.0)
+    # where the light of a prior is subtracted, sums of a row may be negative
+    by_row = dark.reshape(len(dark), -1, cells.grid_shape[-1]).sum(axis=-1, dtype=np.float64)
+    dark_sum = float(np.abs(by_row).sum())
+    indirect = 2 * dark_sum / max(float(pictures.dark_count.sum()), 1.0)
     return ChannelData(
         factor, light, dark, dark_factor, dark_variance, dark_weight, lit_weight, dark_data,
-        lit_data, max(indirect, 0.0) / mean if mean else 0.0,
+        lit_data, indirect / mean if mean else 0.0,
         float(factor.mean(dtype=np.float64)),
     )  # fmt: skip
 

@@ -30,6 +30,7 @@ from rfpipe.methods.adaptive.decisions import (
 )
 from rfpipe.methods.adaptive.forecast import HierarchyCost
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.adaptive.prior import denoised_floodlit, parts_of, without_indirect_light
 from rfpipe.methods.adaptive.rounds import RESIDUAL_ROUNDS, Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import LIBRARY_BYTES, Forecast, StateArrays
@@ -72,12 +73,25 @@ class NearFarModel:
     shape : tuple of int
         The ray domain.
     smooth : SmoothModel, optional
-        Indirect light; None before the first fit, when all light counts as direct.
+        Indirect light beyond that of the prior; None before the first fit, when it is 0.
+    prior : Transport, optional
+        Transport whose indirect light is part of the model.
     """
 
     floodlit: Pictures
     shape: tuple[int, ...]
     smooth: SmoothModel | None = None
+    prior: Transport | None = None
+
+    @classmethod
+    def of(
+        cls, state: AdaptiveState, floodlit: Pictures, smooth: SmoothModel | None = None
+    ) -> Self:
+        """Make the model of a floodlit picture, which a prior makes less noisy."""
+        prior = state.accepted_prior
+        if prior is not None:
+            floodlit = denoised_floodlit(floodlit, prior)
+        return cls(floodlit, state.projector.shape, smooth, prior)
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -91,13 +105,15 @@ class NearFarModel:
 
     def next_patterns(self, key: int, count: int) -> NDArray[np.bool_]:
         """Draw octave noise; after a fit, with bands of equal range of the indirect light."""
-        if self.smooth is None:
+        if self.smooth is None or self.prior is not None:
             return probe_patterns(self.shape, key, count)
         origin = light_range(self.shape, self.smooth, self.floodlit.floodlit)
         return probe_patterns(self.shape, key, count, origin)
 
     def prepared(self, pictures: Pictures) -> SplitPictures:
-        """Sum up the lit and the dark pixels of cells."""
+        """Sum up the lit and the dark pixels of cells, without the prior's indirect light."""
+        if self.prior is not None:
+            pictures = without_indirect_light(pictures, self.prior)
         return SplitPictures.of(fit_cells(self.shape), self.floodlit, pictures)
 
     def fit(self, pictures: Sequence[SplitPictures]) -> Self:
@@ -120,7 +136,8 @@ class NearFarModel:
         if hierarchy is not None:
             parts = [hierarchy, *residual]
             return near_far_transport(self.shape, rows, None, self.floodlit, parts)
-        return near_far_transport(self.shape, rows, self.smooth, self.floodlit, residual)
+        parts = [*parts_of(self.prior), *residual]
+        return near_far_transport(self.shape, rows, self.smooth, self.floodlit, parts)
 
     def dark_pixels(self, lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Return the pixels that a pattern leaves dark: camera and projector share their rays."""
@@ -162,7 +179,7 @@ class NearFarState(AdaptiveState):
         if level is not None:
             arrays = without_prefix("model_", level.arrays)
             smooth = SmoothModel(fit_cells(state.projector.shape), **arrays)
-        return replace(state, model=NearFarModel(state.floodlit, state.projector.shape, smooth))
+        return replace(state, model=NearFarModel.of(state, state.floodlit, smooth))
 
 
 class NearFar(AdaptiveMethod):
@@ -200,8 +217,8 @@ class NearFar(AdaptiveMethod):
         return Forecast(patterns, max_patterns, LIBRARY_BYTES + fit_bytes + image_bytes)
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> NearFarModel:
-        """Make the model without indirect light."""
-        return NearFarModel(floodlit, state.projector.shape)
+        """Make the model without indirect light, except that of a prior."""
+        return NearFarModel.of(state, floodlit)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Give masked pixels the radiance of the nearest known pixel: they light others, too."""
