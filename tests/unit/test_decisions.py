@@ -76,8 +76,8 @@ def decision(method: AdaptiveMethod, state: AdaptiveState, phase: Phase, is_last
         ([0.05], Phase.MODEL),
         ([0.009], None),
         ([0.11], Phase.HIERARCHY),
-        ([0.05, 0.03, 0.84 * 0.03], Phase.MODEL),
-        ([0.05, 0.03, 0.86 * 0.03], Phase.RESIDUAL),
+        ([0.05, 0.03, 0.81 * 0.03], Phase.MODEL),
+        ([0.05, 0.03, 0.84 * 0.03], Phase.RESIDUAL),
     ],
 )
 def test_near_far_continues_its_model_while_the_error_falls(
@@ -89,6 +89,13 @@ def test_near_far_continues_its_model_while_the_error_falls(
     options = ErrorOptions(target_error=0.01, patterns=500)
     limited = decision(NearFar(), replace(state, options=options), Phase.MODEL, False).phase
     assert limited is (Phase.MODEL if phase is Phase.HIERARCHY else phase)
+
+
+@pytest.mark.parametrize(("patterns", "phase"), [(8, Phase.RESIDUAL), (3, Phase.MODEL)])
+def test_a_short_round_may_reduce_the_error_less(patterns: int, phase: Phase) -> None:
+    state = after_model_rounds(NearFar(), [0.05, 0.03, 0.9 * 0.03], 0.01)
+    state = replace(state, rows=(*state.rows[:-1], level_row(3, patterns)))
+    assert decision(NearFar(), state, Phase.MODEL, False).phase is phase
 
 
 def test_an_error_of_noise_ends_the_acquisition() -> None:

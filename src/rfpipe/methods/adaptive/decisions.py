@@ -11,11 +11,17 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from rfpipe.methods.adaptive.forecast import HierarchyCost, patterns_to_target, target_of
+from rfpipe.methods.adaptive.forecast import (
+    HierarchyCost,
+    error_power,
+    patterns_to_target,
+    target_of,
+)
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase
 
-STALLED = 0.85
-"""A round has stalled if it leaves more than this share of the error before it."""
+STALLED = 0.5
+"""A round has stalled if the error falls by less than this power of the number of patterns: a round
+of 40 % of the patterns before it then leaves more than 85 % of the error."""
 
 LEAST_PATTERNS, LEAST_SHARE = 6, 0.1
 """Least number of patterns of a round, and least share of all patterns before it."""
@@ -62,9 +68,9 @@ def next_pattern_count(state: AdaptiveState, largest_count: int) -> int:
 
 
 def has_stalled(state: AdaptiveState) -> bool:
-    """Test whether the last round, the third or later, reduced the error by less than 15 %."""
+    """Test whether the last round, the third or later, hardly reduced the error."""
     errors = state.errors
-    return len(errors) > 2 and errors[-1] > STALLED * errors[-2]
+    return len(errors) > 2 and error_power(state, errors[-2:]) < STALLED
 
 
 def is_mostly_noise(state: AdaptiveState) -> bool:

@@ -23,6 +23,7 @@ their number.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -136,6 +137,16 @@ def most_patterns(
     return min(total, options.patterns or total)
 
 
+def error_power(state: AdaptiveState, errors: Sequence[float]) -> float:
+    """Compute the power of the number of patterns by which errors fall.
+
+    `errors` are those after the last rounds, at least two.
+    """
+    patterns = sum(row["patterns"] for row in state.rows[1 - len(errors) :])
+    before = state.patterns_shown - patterns
+    return float(np.log(errors[0] / errors[-1]) / np.log(state.patterns_shown / before))
+
+
 def patterns_to_target(state: AdaptiveState) -> float:
     """Extrapolate the number of patterns that the target still takes.
 
@@ -146,9 +157,7 @@ def patterns_to_target(state: AdaptiveState) -> float:
     excess = state.excess[-3:]
     if len(excess) < 2 or excess[-1] <= 1:
         return 0.0
-    level_patterns = [row["patterns"] for row in state.rows]
-    before = state.patterns_shown - sum(level_patterns[1 - len(excess) :])
-    power = np.log(excess[0] / excess[-1]) / np.log(state.patterns_shown / before)
+    power = error_power(state, excess)
     if power < SLOWEST_POWER:
         return np.inf
     return float(state.patterns_shown * (excess[-1] ** (1 / power) - 1))

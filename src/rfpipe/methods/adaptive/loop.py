@@ -77,8 +77,9 @@ USEFUL_PRIOR = 0.05
 """Estimated error of a prior above which the acquisition continues without it. The first round of a
 model leaves about as much; a prior with an error of 10 % cost more patterns than none."""
 
-# The residual of a model is kept if it leaves less than this share of the error.
-_RESIDUAL_GAIN = 0.95
+# Where it is optional, the residual of a model is fitted in the second round, and kept if it leaves
+# less than this share of the error. On the tuning scenes it is kept there or in no round.
+_RESIDUAL_ROUND, _RESIDUAL_GAIN = 1, 0.95
 
 
 class Candidate(NamedTuple):
@@ -98,7 +99,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     hierarchy_cost : HierarchyCost
         Cost of the hierarchy, which is acquired by `State.hierarchy_method`.
     residual_is_optional : bool
-        If True, the residual of a model is fitted from the second round on, and dropped unless it
+        If True, the residual of a model is fitted in the second round, and dropped unless it
         reduces the error by 5 %. Otherwise it is fitted after each round, and used if it reduces
         the error.
     """
@@ -241,7 +242,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         state = replace(state.with_row(**model.counts), model=model, residual=None)
         assert shown is not None
         base = self._best_without_residual(state)
-        if self.residual_is_optional and not shown.index:
+        if self.residual_is_optional and shown.index != _RESIDUAL_ROUND:
             return state, base
         if state.with_estimate(base.estimate).meets_target:
             return state, base
