@@ -187,30 +187,34 @@ def regrets(done: pd.DataFrame) -> pd.DataFrame:
     Other methods and brute force are counted with at most the references of `AUTO`: these follow
     from its target, and rows of earlier code have more.
     """
-    pairs = []
+    compared = []
     for _, rows in done.groupby(list(PLACE), sort=False):
         rivals = rows[~rows["method"].isin([AUTO, *PARTS])]
-        for auto_rows in rows[rows["method"] == AUTO].itertuples():
-            row = {name: getattr(auto_rows, name) for name in ("section", "scene", "light", "seed")}
-            row |= {
-                "target": auto_rows.value,
-                "missed": auto_rows.error_mean > _MISSED * auto_rows.value,
-            }
-            limits = {"error": auto_rows.value, "indirect": auto_rows.indirect_mean}
-            references = auto_rows.pictures - auto_rows.patterns
-            most = rivals["patterns"] + references
-            compared = rivals.assign(pictures=rivals["pictures"].clip(upper=most))
-            for name, limit in limits.items():
-                enough = compared[compared[f"{name}_mean"] <= limit].sort_values("pictures")
-                fewest, by = auto_rows.projector_rays + references, ""
-                if len(enough):
-                    fewest, by = enough.iloc[0][["pictures", "method"]]
-                known = len(rivals) > 0 and not np.isnan(limit)
-                row |= {name: auto_rows.pictures / fewest if known else np.nan, f"{name}_by": by}
-            pairs.append(row)
+        auto_rows = rows[rows["method"] == AUTO]
+        compared += [_regret_of(acquisition, rivals) for acquisition in auto_rows.itertuples()]
     columns = ["section", "scene", "light", "seed", "target", "missed", "error", "error_by",
                "indirect", "indirect_by"]  # fmt: skip
-    return pd.DataFrame(pairs, columns=columns)
+    return pd.DataFrame(compared, columns=columns)
+
+
+def _regret_of(acquisition: Any, rivals: pd.DataFrame) -> dict[str, Any]:
+    """Compare an acquisition of `AUTO` with the others of its place."""
+    row = {name: getattr(acquisition, name) for name in ("section", "scene", "light", "seed")}
+    row["target"] = acquisition.value
+    row["missed"] = acquisition.error_mean > _MISSED * acquisition.value
+    references = acquisition.pictures - acquisition.patterns
+    limits = {"error": acquisition.value, "indirect": acquisition.indirect_mean}
+    pictures = rivals["pictures"].clip(upper=rivals["patterns"] + references)
+    for name, limit in limits.items():
+        is_enough = rivals[f"{name}_mean"] <= limit
+        fewest, method = acquisition.projector_rays + references, ""
+        if is_enough.any():
+            index = pictures[is_enough].idxmin()
+            fewest, method = pictures[index], rivals["method"][index]
+        is_known = len(rivals) > 0 and not np.isnan(limit)
+        row[name] = acquisition.pictures / fewest if is_known else np.nan
+        row[f"{name}_by"] = method
+    return row
 
 
 def _of_scenes(rows: pd.DataFrame) -> pd.Series[str]:

@@ -221,7 +221,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         _log.info("the prior has an error of %.2g; continuing without it", best.estimate.error)
         after = replace(after, prior_is_refuted=True)
         after = replace(after, model=self.first_model(after, _floodlit(after)))
-        # the row has the estimate of what is returned if the acquisition ends here
+        # an acquisition that ends here returns this model
         after = after.with_estimate(self._best(after).estimate)
         return self._continue(replace(after, estimates=()), Decision(Phase.MODEL))
 

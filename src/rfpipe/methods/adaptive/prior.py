@@ -28,7 +28,7 @@ def parts_of(prior: Transport | None) -> tuple[Transport, ...]:
 
 
 def denoised_floodlit(floodlit: Pictures, prior: Transport) -> Pictures:
-    """Replace the noise of a floodlit picture by that of the prior where both agree.
+    """Replace the noise of a floodlit picture by the prior's where both agree.
 
     The prior's floodlit image is scaled to the mean of the picture over 5 x 5 pixels. A pixel that
     differs from it by d, with a standard deviation s, becomes this expected value plus
@@ -62,10 +62,10 @@ def pooled_estimate(estimate: Estimate, prior: Transport) -> Estimate:
     The error of a prior of an unchanged scene is also known from the six held-out pictures of its
     acquisition, which therefore have twice the weight.
     """
-    own = last_estimate(prior.level_rows).get("estimated_error", 0.0)
-    if not 0 < estimate.error <= _AGREEMENT * own:
+    earlier_error = last_estimate(prior.level_rows).get("estimated_error", 0.0)
+    if not 0 < estimate.error <= _AGREEMENT * earlier_error:
         return estimate
-    factor = (2 * own / estimate.error + 1) / 3
+    factor = (2 * earlier_error / estimate.error + 1) / 3
     return Estimate(**{kind: factor * error for kind, error in asdict(estimate).items()})
 
 

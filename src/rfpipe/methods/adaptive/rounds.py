@@ -64,8 +64,8 @@ def next_round(
 
 def _within_limit(state: AdaptiveState, phase: Phase, count: int) -> tuple[int, int]:
     """Return the numbers of held-out and of random patterns, within the options' limit."""
-    wanted = HELD_OUT_OF_PRIOR if phase is Phase.PRIOR else len(HELD_OUT)
-    held_out = wanted - (0 if state.held_out is None else len(state.held_out.lit))
+    total = HELD_OUT_OF_PRIOR if phase is Phase.PRIOR else len(HELD_OUT)
+    held_out = total - (0 if state.held_out is None else len(state.held_out.lit))
     if not state.options.patterns:
         return held_out, count
     remaining = state.options.patterns - state.patterns_shown

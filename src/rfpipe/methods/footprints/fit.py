@@ -246,7 +246,7 @@ def _without_faint(
 ) -> Candidates:
     """Drop weights of at most a fraction of the floodlit image, except of the rays in the fit.
 
-    `candidates` are those of a range of camera pixels, `floodlit` has all pixels.
+    `candidates` belong to the camera pixels `pixels`, `floodlit` has all of them.
     """
     rays = problem.camera_rays
     if rays is None:

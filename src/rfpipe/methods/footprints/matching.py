@@ -202,7 +202,7 @@ class MatchedFilter:
 
         If these are many, only a grid of 2048 pixels is compared with all boxes. The places that
         the grid points around a pixel see, moved by the pixel's distance from them, are guesses for
-        the pixel. If the points are far apart, those of a finer grid are guessed first.
+        the pixel. If the points are far apart, a finer grid is matched first by such guesses.
         """
         lit = np.flatnonzero(pictures.lit_pixels)
         if len(lit) <= self.boxes.most_series:

@@ -165,9 +165,9 @@ def _best_near(
         return 0, np.float32(0)
     # boxes of the last width are the largest
     top, bottom = _pixels(widths[len(widths) - 1], rows, image.shape[0])
-    left, right = _pixels(widths[len(widths) - 1], columns, image.shape[1])
-    products = _products(series, image[top:bottom, left:right])
-    return _best_of_window(products, (top, left), widths, scales, rows, columns)
+    first, end = _pixels(widths[len(widths) - 1], columns, image.shape[1])
+    products = _products(series, image[top:bottom, first:end])
+    return _best_of_window(products, (top, first), widths, scales, rows, columns)
 
 
 @njit(cache=True, nogil=True)
@@ -212,7 +212,7 @@ def _best_of_window(
 ) -> tuple[int, np.float32]:
     """Find the box of largest correlation in half-open ranges of rows and columns.
 
-    `products` are those of the pixels from `origin` on.
+    `products` (h, w) belong to pixels, the first of them at `origin`.
     """
     best, score = 0, np.float32(0)
     products_with_boxes = np.empty(scales.shape[3], np.float32)

@@ -206,7 +206,7 @@ class FootprintModel:
         return projector_cells(self.fitted_transport().direct(), base, camera)
 
     def fitted_transport(self) -> FootprintTransport:
-        """Return the fit; before it, that of the prior, or the floodlit image spread evenly."""
+        """Return the fit; before it, the prior's fit, or the floodlit image spread evenly."""
         arrays = self.arrays
         if arrays is None:
             for part in parts_of(self.prior):

@@ -73,7 +73,7 @@ class NearFarModel:
     shape : tuple of int
         The ray domain.
     smooth : SmoothModel, optional
-        Indirect light beyond that of the prior; None before the first fit, when it is 0.
+        Indirect light in addition to the prior's; None before the first fit, when it is 0.
     prior : Transport, optional
         Transport whose indirect light is part of the model.
     """
@@ -217,7 +217,7 @@ class NearFar(AdaptiveMethod):
         return Forecast(patterns, max_patterns, LIBRARY_BYTES + fit_bytes + image_bytes)
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> NearFarModel:
-        """Make the model without indirect light, except that of a prior."""
+        """Make the model whose indirect light is the prior's, or 0."""
         return NearFarModel.of(state, floodlit)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
