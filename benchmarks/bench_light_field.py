@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import rfpipe
-from benchmarks.harness import errors, write
+from benchmarks.harness import errors, image_size, write
 from rfpipe.photometry import CameraModel
 from rfpipe.provenance import generator
 from rfpipe.relighting import octave_noise
@@ -44,8 +44,8 @@ def main() -> None:
 def rows(arguments: argparse.Namespace) -> Iterator[dict[str, Any]]:
     """Yield a row a size, method and target."""
     for size in arguments.sizes:
-        height, width = (int(part) for part in size.split("x"))
-        scene = room_scene(("texture", "white", "white"), (height, width), views=_VIEWS, channels=1)
+        shape = image_size(size)
+        scene = room_scene(("texture", "white", "white"), shape, views=_VIEWS, channels=1)
         for method, target in product(arguments.methods, arguments.targets):
             yield {"size": size, **acquired(scene, method, target, arguments.seed)}
 

@@ -55,6 +55,12 @@ def existing(text: str) -> Path:
     return Path(text)
 
 
+def image_size(text: str) -> tuple[int, int]:
+    """Parse ``HEIGHTxWIDTH``."""
+    height, width = map(int, text.split("x"))
+    return height, width
+
+
 def write(name: str, rows: Iterable[Mapping[str, Any]]) -> pd.DataFrame:
     """Rewrite ``results/bench/{name}.csv`` after each row, so that a stopped script leaves rows.
 

@@ -17,11 +17,13 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from benchmarks.harness import image_size
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.method import fit_pictures
 from rfpipe.methods.footprints.patterns import view_patterns
 from rfpipe.methods.footprints.pictures import PackedPictures
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.states import joined
 from rfpipe.provenance import generator
 from rfpipe.relighting import octave_noise
 from rfpipe.transport.footprints import FootprintTransport
@@ -66,19 +68,14 @@ def packed(plane: Plane, patterns: NDArray[np.bool_], seed: int) -> PackedPictur
         variance = (_NOISE**2 * (image + 0.01)).astype(np.float32)
         image = image + np.sqrt(variance) * random.standard_normal(image.shape, np.float32)
         parts.append(PackedPictures.of(Pictures(pattern.reshape(1, -1), image, variance), 0.5))
-    return PackedPictures(
-        *(
-            np.concatenate([getattr(part, name) for part in parts])
-            for name in ("lit", "radiance", "variance")
-        )
-    )
+    return joined(parts, axis=0)
 
 
 def main() -> None:
     """Fit the model to pictures of a plane."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--camera", type=_size, default=(375, 500))
-    parser.add_argument("--projector", type=_size, default=(200, 320))
+    parser.add_argument("--camera", type=image_size, default=(375, 500))
+    parser.add_argument("--projector", type=image_size, default=(200, 320))
     parser.add_argument("--channels", type=int, default=3, choices=(1, 3))
     parser.add_argument("--pictures", type=int, default=25)
     arguments = parser.parse_args()
@@ -104,12 +101,6 @@ def main() -> None:
 
 def _peak_gib() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Parse ``HEIGHTxWIDTH``."""
-    height, width = map(int, text.split("x"))
-    return height, width
 
 
 if __name__ == "__main__":

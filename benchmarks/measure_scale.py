@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from benchmarks.harness import errors
+from benchmarks.harness import errors, image_size
 from rfpipe.blocks import RayDomain
 from rfpipe.jobs.workers import Resources
 from rfpipe.relighting import relighting_pictures
@@ -263,10 +263,10 @@ def main() -> None:
     """Measure cases."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("cases", nargs="+", choices=list(CASES))
-    parser.add_argument("--size", type=_size, help="of the camera's and the projector's image")
+    parser.add_argument("--size", type=image_size, help="of the camera's and the projector's image")
     parser.add_argument("--target", type=float, help="target error")
     parser.add_argument("--channels", type=int, choices=(1, 3))
-    parser.add_argument("--views", type=_size, help="rows x columns of views")
+    parser.add_argument("--views", type=image_size, help="rows x columns of views")
     parser.add_argument("--folder", type=Path, default=Path("results/bench/scale"))
     arguments = parser.parse_args()
     for name in arguments.cases:
@@ -285,12 +285,6 @@ def main() -> None:
         text = table.to_csv(index=False, float_format="%.4g", lineterminator="\n")
         write_atomically(MEASURED, text.encode())
         shutil.rmtree(folder)
-
-
-def _size(text: str) -> tuple[int, int]:
-    """Parse ``HEIGHTxWIDTH``."""
-    height, width = map(int, text.split("x"))
-    return height, width
 
 
 if __name__ == "__main__":

@@ -207,11 +207,10 @@ class FootprintModel:
 
     def fitted_transport(self) -> FootprintTransport:
         """Return the fit; before it, the prior's fit, or the floodlit image spread evenly."""
+        fits = [part for part in parts_of(self.prior) if isinstance(part, FootprintTransport)]
+        if self.arrays is None and fits:
+            return fits[0]
         arrays = self.arrays
-        if arrays is None:
-            for part in parts_of(self.prior):
-                if isinstance(part, FootprintTransport):
-                    return part
         if arrays is None:
             arrays = uniform_arrays(self.floodlit, self.projector.size)
         shapes = self.camera.shape, self.projector.shape
