@@ -17,9 +17,10 @@ from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.series import Series
 from rfpipe.fitting.surfaces import expected_boxes, smoothed, surfaces_of
-from rfpipe.methods.footprints.fit import FitLimits, fit_model
+from rfpipe.methods.footprints.fit import fit_model
 from rfpipe.methods.footprints.model import ChannelModel, transport_arrays
 from rfpipe.methods.footprints.pictures import ViewArrays
+from rfpipe.methods.footprints.problem import FitLimits
 from rfpipe.transport.footprints import FootprintTransport
 
 # On real Gray code (camera of 120 x 160, 30 pictures), 1.4 million unknowns in the fits of indirect

@@ -18,6 +18,9 @@ Modules, in reading order:
 - `reciprocity`: D of light fields of coaxial pairs, where ``D = D^T``;
 - `charts`, `functions`: the B-splines L and R, and the factors f and g;
 - `indirect`: the fit of S;
+- `problem`: rig, pictures and limits of a fit;
+- `search`: footprints on all projector views;
+- `scales`: the fit of S with functions of finer and finer scales;
 - `model`, `fit`: the whole model, and the loop that fits D and S in turn;
 - `patterns`: the random patterns;
 - `direct_light`: uses of D in the error estimate and in the residual model;
