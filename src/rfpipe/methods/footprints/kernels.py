@@ -113,37 +113,75 @@ def _non_negative(matrix: Double, target: Double, x: Double) -> Double:
     1974, chapter 23. Coordinate descent would give all light to the first of several projector
     pixels with the same patterns.
     """
-    free = x > 0
+    free, factor, solution = x > 0, np.empty_like(matrix), np.empty_like(x)
     for _ in range(3 * len(target)):
-        _minimise_free(matrix, target, x, free)
-        slope = target - matrix @ x
-        slope[free] = 0
-        steepest = np.argmax(slope)
-        if slope[steepest] <= _SLOPE_TOLERANCE * target.max():
+        _minimise_free(matrix, target, x, free, factor, solution)
+        steepest, largest = 0, -np.inf
+        for row in range(len(x)):
+            slope = 0.0
+            if not free[row]:
+                slope = target[row]
+                for column in range(len(x)):
+                    slope -= matrix[row, column] * x[column]
+            if slope > largest:
+                steepest, largest = row, slope
+        if largest <= _SLOPE_TOLERANCE * target.max():
             break
         free[steepest] = True
     return x
 
 
 @njit(cache=True, nogil=True)
-def _minimise_free(matrix: Double, target: Double, x: Double, free: Bools) -> None:
-    """Minimise over the free elements of x; those that reach 0 on the way stay there."""
+def _minimise_free(
+    matrix: Double, target: Double, x: Double, free: Bools, factor: Double, solution: Double
+) -> None:
+    """Minimise over the free elements of x; those that reach 0 on the way stay there.
+
+    Overwrites `factor`, (k, k), and `solution`, (k,).
+    """
     while free.any():
         index = np.flatnonzero(free)
-        before = x[index]
-        after = np.linalg.solve(matrix[index][:, index], target[index])
-        fraction = np.ones(len(index))
+        _solve_part(matrix, target, index, factor, solution)
+        step = 1.0
         for element in range(len(index)):
-            if after[element] <= 0:
-                is_above = before[element] > 0
-                change = before[element] - after[element]
-                fraction[element] = before[element] / change if is_above else 0.0
-        step = fraction.min()
-        x[index] = before + step * (after - before)
+            if solution[element] <= 0:
+                before = x[index[element]]
+                fraction = before / (before - solution[element]) if before > 0 else 0.0
+                step = min(step, fraction)
+        for element in range(len(index)):
+            i, after = index[element], solution[element]
+            before = x[i]
+            x[i] = before + step * (after - before)
+            if step < 1 and after <= 0 and (before <= 0 or before / (before - after) == step):
+                x[i], free[i] = 0, False
         if step == 1.0:
             return
-        x[index[fraction == step]] = 0
-        free[index[fraction == step]] = False
+
+
+@njit(cache=True, nogil=True)
+def _solve_part(
+    matrix: Double, target: Double, index: Index, factor: Double, solution: Double
+) -> None:
+    """Solve the equations of the elements `index`, by Cholesky factorisation.
+
+    Writes the lower triangle to `factor`, and the solution to the first elements of `solution`.
+    """
+    count = len(index)
+    for row in range(count):
+        for column in range(row + 1):
+            total = matrix[index[row], index[column]]
+            for inner in range(column):
+                total -= factor[row, inner] * factor[column, inner]
+            is_diagonal = row == column
+            factor[row, column] = np.sqrt(total) if is_diagonal else total / factor[column, column]
+        total = target[index[row]]
+        for inner in range(row):
+            total -= factor[row, inner] * solution[inner]
+        solution[row] = total / factor[row, row]
+    for row in range(count - 1, -1, -1):
+        for below in range(row + 1, count):
+            solution[row] -= factor[below, row] * solution[below]
+        solution[row] /= factor[row, row]
 
 
 @njit(cache=True, nogil=True)
