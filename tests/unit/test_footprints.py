@@ -14,7 +14,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.config import CameraConfig
 from rfpipe.methods import options_of
 from rfpipe.methods.footprints.candidates import Candidates
-from rfpipe.methods.footprints.geometry import refined_candidates
+from rfpipe.methods.footprints.geometry import refined_footprints
 from rfpipe.methods.footprints.kernels import (
     CandidateRows,
     PixelPictures,
@@ -24,7 +24,6 @@ from rfpipe.methods.footprints.kernels import (
 from rfpipe.methods.footprints.matching import boxes_of
 from rfpipe.methods.footprints.method import ROUNDS, Footprints
 from rfpipe.methods.footprints.pictures import ViewArrays
-from rfpipe.methods.footprints.weights import fit_weights_of_part
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing.methods import MatrixImages, run_method
 from rfpipe.transport.multilevel import MultilevelTransport
@@ -127,9 +126,9 @@ def test_neighbours_decide_between_two_positions_with_equal_patterns() -> None:
     ones, dark = np.ones(side.size, np.float32), np.zeros_like(patterns)
     keys = np.arange(side.size) * side.size + places
     wrong = Candidates(side.size, side.size, keys, ones, ones)
-    search = refined_candidates(pictures, wrong, dark, side, boxes_of(side, 1.0))
+    search = refined_footprints(pictures, wrong, dark, side, boxes_of(side, 1.0))
     ((_, refined),) = search
-    weights = fit_weights_of_part(refined, pictures, dark).matrix().toarray()
+    weights = refined.matrix().toarray()
     assert weights[place, place] > 0.9
     assert weights[place, equal_place] < 0.1
 

@@ -100,12 +100,13 @@ class Candidates:
         """Select camera pixels by their numbers, ascending; None selects all."""
         if camera_pixels is None:
             return self
-        position = np.full(self.camera_size, -1)
-        position[camera_pixels] = np.arange(len(camera_pixels))
-        mask = position[self.camera_pixels] >= 0
-        part = self._masked(mask)
-        keys = position[part.camera_pixels] * self.projector_size + part.keys % self.projector_size
-        return replace(part, camera_size=len(camera_pixels), keys=keys)
+        starts, size = self.starts, self.projector_size
+        counts = np.diff(starts)[camera_pixels]
+        ends = np.cumsum(counts)
+        index = np.arange(counts.sum()) + np.repeat(starts[camera_pixels] - ends + counts, counts)
+        keys = np.repeat(np.arange(len(camera_pixels)), counts) * size + self.keys[index] % size
+        variance, weights = self.variance[index], self.weights[index]
+        return Candidates(len(camera_pixels), size, keys, variance, weights)
 
     def between(self, first: int, last: int) -> Candidates:
         """Select the camera pixels ``first:last``; arrays are views, except `keys`."""
@@ -120,6 +121,21 @@ class Candidates:
             self.variance[begin:end],
             self.weights[begin:end],
         )
+
+    def with_pixels(self, camera_pixels: Index, part: Candidates) -> Candidates:
+        """Replace the candidates of camera pixels (m,), ascending, by those of `part`."""
+        if not len(camera_pixels):
+            return self
+        is_replaced = np.zeros(self.camera_size, np.bool_)
+        is_replaced[camera_pixels] = True
+        other = self._masked(~is_replaced[self.camera_pixels])
+        size = self.projector_size
+        keys = camera_pixels[part.camera_pixels] * size + part.keys % size
+        keys = np.concatenate([other.keys, keys])
+        order = np.argsort(keys, kind="stable")  # merges two sorted runs
+        variance = np.concatenate([other.variance, part.variance])[order]
+        weights = np.concatenate([other.weights, part.weights])[order]
+        return replace(self, keys=keys[order], variance=variance, weights=weights)
 
     def _masked(self, mask: Bools) -> Candidates:
         return replace(
@@ -154,35 +170,39 @@ def join_views(parts: Sequence[Candidates]) -> Candidates:
     views = len(parts)
     if views == 1:
         return parts[0]
-    size = parts[0].projector_size
-    # pixel j of a view has column view * size + j of D: the key i size + j of the view becomes
-    # (i views + view) size + j
-    keys = np.concatenate(
-        [
-            part.keys + (part.camera_pixels * (views - 1) + view) * size
-            for view, part in enumerate(parts)
-        ]
-    )
-    order = np.argsort(keys, kind="stable")
-    variance = np.concatenate([part.variance for part in parts])[order]
-    weights = np.concatenate([part.weights for part in parts])[order]
-    return Candidates(parts[0].camera_size, views * size, keys[order], variance, weights)
+    size, starts = parts[0].projector_size, [part.starts for part in parts]
+    counts = np.stack([np.diff(ends) for ends in starts], axis=1)
+    # the candidates of a camera pixel are in the order of views
+    first = np.cumsum(counts).reshape(counts.shape) - counts
+    total = int(counts.sum())
+    keys, (variance, weights) = np.empty(total, np.int64), np.empty((2, total), np.float32)
+    for view, part in enumerate(parts):
+        shift = np.repeat(first[:, view] - starts[view][:-1], counts[:, view])
+        place = np.arange(len(part.keys)) + shift
+        # pixel j of a view has column view * size + j of D: the key i size + j of the view becomes
+        # (i views + view) size + j
+        keys[place] = part.keys + (part.camera_pixels * (views - 1) + view) * size
+        variance[place], weights[place] = part.variance, part.weights
+    return Candidates(parts[0].camera_size, views * size, keys, variance, weights)
 
 
 def split_views(candidates: Candidates, views: int) -> list[Candidates]:
     """Split candidates on all projector views by view, the inverse of `join_views`."""
-    return [on_view(candidates, view, views) for view in range(views)]
+    if views == 1:
+        return [candidates]
+    size = candidates.projector_size // views
+    view_of = (candidates.keys % candidates.projector_size // size).astype(np.int16)
+    parts = []
+    for view in range(views):
+        mask = view_of == view
+        keys = candidates.keys[mask]
+        # the keys of `join_views`, solved for i size + j
+        keys -= (keys // candidates.projector_size * (views - 1) + view) * size
+        variance, weights = candidates.variance[mask], candidates.weights[mask]
+        parts.append(Candidates(candidates.camera_size, size, keys, variance, weights))
+    return parts
 
 
 def on_view(candidates: Candidates, view: int, views: int) -> Candidates:
     """Return the candidates on one of the projector's views, numbered from 0."""
-    if views == 1:
-        return candidates
-    size = candidates.projector_size // views
-    # the keys of `join_views`, solved for i size + j
-    mask = candidates.keys % candidates.projector_size // size == view
-    keys = candidates.keys[mask]
-    keys -= (keys // candidates.projector_size * (views - 1) + view) * size
-    return Candidates(
-        candidates.camera_size, size, keys, candidates.variance[mask], candidates.weights[mask]
-    )
+    return split_views(candidates, views)[view]

@@ -2,11 +2,12 @@
 
 The search needs neither calibration nor structured light. At first a matched filter finds for each
 camera pixel the box of the projector's image whose patterns its radiance resembles most
-(`first_candidates`). Once indirect light is estimated, the candidates are (`refined_candidates`)
+(`first_candidates`). Once indirect light is estimated, the candidates are (`refined_footprints`)
 
 1. projector pixels whose weight exceeds 1 % of the floodlit image, and those that at least two of
    the eight neighbouring camera pixels see; each with its eight neighbours;
-2. for camera pixels whose residual a box explains well, that box, such as a reflection.
+2. for camera pixels where these leave a residual that a box explains well, that box, such as a
+   reflection.
 
 Two places of the projector may have the same light in all patterns: with 24 patterns, for one pixel
 in a hundred at 96 x 96. Then the place that neighbouring camera pixels also see is preferred, by a
@@ -18,7 +19,6 @@ the camera pixel's neighbours that see the candidate or a pixel near it.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 
 import numpy as np
 
@@ -27,12 +27,18 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, unique_keys
 from rfpipe.methods.footprints.matching import (
     Boxes,
+    MatchedFilter,
     coarse_light,
     matched_filter,
     pixels_in_boxes,
 )
-from rfpipe.methods.footprints.pictures import IndirectPictures, ViewPictures
-from rfpipe.methods.footprints.weights import MODEL_ERROR, TINY, non_negative_weights
+from rfpipe.methods.footprints.pictures import IndirectPictures, ViewArrays, ViewPictures
+from rfpipe.methods.footprints.weights import (
+    MODEL_ERROR,
+    TINY,
+    fit_weights_of_part,
+    non_negative_weights,
+)
 
 # Least reduction of chi-square, the squared residual in squared standard deviations, by a new box,
 # and its least share of chi-square.
@@ -97,19 +103,22 @@ def _fit_first_weights(
     )
 
 
-def refined_candidates(
+def refined_footprints(
     pictures: ViewPictures,
-    candidates: Candidates,
+    footprints: Candidates,
     indirect: IndirectPictures,
     camera: RayDomain,
     boxes: Boxes,
 ) -> Iterator[tuple[slice, Candidates]]:
-    """Collect candidates from earlier ones, from neighbours and from the residual.
+    """Search for footprints near earlier ones, near those of neighbours, and in the residual.
+
+    The residual is what the weights of the candidates near earlier ones and near neighbours leave.
+    Only camera pixels with a box that explains it are fitted again.
 
     Parameters
     ----------
     pictures : ViewPictures
-    candidates : Candidates
+    footprints : Candidates
         Earlier ones with their weights.
     indirect : IndirectPictures
         Indirect light in the pictures, radiance.
@@ -120,30 +129,30 @@ def refined_candidates(
     ------
     pixels : slice
         A range of camera pixels.
-    candidates : Candidates
-        Theirs, with the weights of earlier ones, 0 for new ones, and prior variances.
+    footprints : Candidates
+        Theirs, with fitted weights and the prior variances of the next fit.
     """
-    strong = candidates.above(_STRONG, pictures.floodlit)
-    brightest = _brightest(strong, camera)
-    unexplained = _residual_candidates(pictures, candidates, indirect, boxes)
+    strong = footprints.above(_STRONG, pictures.floodlit)
+    brightest, matched = _brightest(strong, camera), matched_filter(boxes, pictures)
+    no_keys = strong.keys[:0]
     for first, last in pictures.ranges():
-        neighbour_places = _neighbour_places(brightest, camera, first, last)
-        yield (
-            slice(first, last),
-            _collected(
-                strong.between(first, last),
-                unexplained.between(first, last).keys,
-                neighbour_places,
-                pictures.floodlit[first:last],
-                boxes,
-            ),
-        )
+        part, light = pictures.at(slice(first, last)), indirect[first:last]
+        earlier = strong.between(first, last)
+        places = _neighbour_places(brightest, camera, first, last)
+        candidates = _collected(earlier, no_keys, places, part.floodlit, boxes)
+        fitted = fit_weights_of_part(candidates, part, light)
+        limit = boxes.most_series * (last - first) // camera.size
+        pixels, keys = _boxes_of_residual(part, fitted, light, matched, limit)
+        part, earlier, places = part.at(pixels), earlier.at(pixels), places[:, pixels]
+        candidates = _collected(earlier, keys, places, part.floodlit, boxes)
+        again = fit_weights_of_part(candidates, part, light[pixels])
+        yield slice(first, last), fitted.with_pixels(pixels, again)
 
 
 def _collected(
     strong: Candidates, unexplained: Index, neighbour_places: Index, floodlit: Float, boxes: Boxes
 ) -> Candidates:
-    """Collect the candidates of m camera pixels.
+    """Collect the candidates of m camera pixels, with prior variances; new ones have weight 0.
 
     Parameters
     ----------
@@ -170,63 +179,45 @@ def _collected(
     return Candidates(len(floodlit), size, keys, variance, weights)
 
 
-def _residual_candidates(
-    pictures: ViewPictures, candidates: Candidates, indirect: IndirectPictures, boxes: Boxes
-) -> Candidates:
-    """Find boxes that explain residuals of camera pixels; weights are 0.
+def _boxes_of_residual(
+    pictures: ViewArrays,
+    footprints: Candidates,
+    indirect: Float,
+    matched: MatchedFilter,
+    limit: int,
+) -> tuple[Index, Index]:
+    """Find boxes that explain residuals of camera pixels.
 
     A box is accepted if its best weight reduces the pixel's chi-square by more than 25, and by more
     than 25 %. Pixels whose chi-square is above 25 and P / 2 are compared with boxes. Noise alone
-    gives about P, so that this skips only pixels where the model fits better than noise. If the
-    pixels are too many, only the ones of largest chi-square are compared.
+    gives about P, so that this skips only pixels where the model fits better than noise. If there
+    are more than `limit` pixels, only the ones of largest chi-square are compared.
+
+    Returns
+    -------
+    pixels : ndarray of int64, shape (m,)
+        Numbers of the camera pixels with a box, ascending.
+    keys : ndarray of int64
+        Candidates in and around the boxes: ``i N + j`` for pixel number i of `pixels`.
     """
-    chi_square = np.concatenate(
-        [
-            _chi_square(
-                *_residual(pictures, candidates.between(first, last), indirect, slice(first, last))
-            )
-            for first, last in pictures.ranges()
-        ]
-    )
-    patterns = pictures.patterns
-    may_hide_light = chi_square > max(_LEAST_CHI_SQUARE_DROP, patterns.shape[1] / 2)
+    inverse_variance = pictures.inverse_variance(MODEL_ERROR)
+    residual = pictures.radiance - indirect - footprints.matrix() @ pictures.patterns
+    chi_square: Float = np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
+    may_hide_light = chi_square > max(_LEAST_CHI_SQUARE_DROP, residual.shape[1] / 2)
     pixel = np.flatnonzero(pictures.lit_pixels & may_hide_light)
-    if len(pixel) > boxes.most_series:
-        worst = np.argsort(-chi_square[pixel], kind="stable")[: boxes.most_series]
+    if len(pixel) > limit:
+        worst = np.argsort(-chi_square[pixel], kind="stable")[:limit]
         pixel = np.sort(pixel[worst])
-    residual, weight = _residual(pictures, candidates.at(pixel), indirect, pixel)
-    series = residual / pictures.floodlit[pixel, None]
-    box, correlation = matched_filter(boxes, pictures).match(series)
-    response = boxes.responses(box, patterns)
+    residual, weight = residual[pixel], inverse_variance[pixel]
+    box, correlation = matched.match(residual / pictures.floodlit[pixel, None])
+    response = matched.boxes.responses(box, pictures.patterns)
     # reduction of chi-square by the box with its best weight
     drop = np.square(np.einsum("iq,iq,iq->i", weight, residual, response))
     drop /= np.maximum(np.einsum("iq,iq,iq->i", weight, response, response), TINY)
     explains = (correlation > 0) & (drop > _LEAST_CHI_SQUARE_DROP)
     explains &= drop > _LEAST_DROP_SHARE * chi_square[pixel]
-    keys = pixels_in_boxes(boxes, pixel[explains], box[explains])
-    zero = np.zeros(len(keys), np.float32)
-    return replace(candidates, keys=keys, variance=zero, weights=zero)
-
-
-def _residual(
-    pictures: ViewPictures,
-    candidates: Candidates,
-    indirect: IndirectPictures,
-    pixels: slice | Index,
-) -> tuple[Float, Float]:
-    """Subtract the model from the pictures of camera pixels (m,), whose candidates are given.
-
-    Returns the residual and its inverse variance, (m, P) each.
-    """
-    part = pictures.at(pixels)
-    residual = part.radiance - indirect[pixels] - candidates.matrix() @ part.patterns
-    return residual, part.inverse_variance(MODEL_ERROR)
-
-
-def _chi_square(residual: Float, inverse_variance: Float) -> Float:
-    """Sum up the squared residuals (m, P) in units of their variance, (m,)."""
-    chi_square: Float = np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
-    return chi_square
+    accepted = np.flatnonzero(explains)
+    return pixel[accepted], pixels_in_boxes(matched.boxes, np.arange(len(accepted)), box[accepted])
 
 
 def _brightest(strong: Candidates, camera: RayDomain) -> Index:

@@ -58,12 +58,13 @@ from rfpipe.ranges import ranges
 if TYPE_CHECKING:
     from rfpipe.methods.footprints.matching_kernels import AxisAverages
 
-# Largest number of pairs of a series and a box to compare: half a minute.
-_MOST_PAIRS = 2**31
+# Largest number of pairs of a series and a box to compare: about 4 s.
+_MOST_PAIRS = 2**30
 # Products of series and projector pixels computed in one batch, and series compared in one batch.
 _BATCH_PRODUCTS, _BATCH_SERIES = 2**24, 2**17
-# Pixels of the coarse grid that are compared with all boxes, in each camera view.
-_GRID_PIXELS = 2048
+# Pixels of the coarse grid that are compared with all boxes, in each camera view: of one view, and
+# of several.
+_GRID_PIXELS, _GRID_PIXELS_OF_VIEW = 2048, 512
 # Largest spacing of the grid from which all other pixels are guessed.
 _LARGEST_STEP = 8
 # Cells of coarse light along the short side of the projector's image.
@@ -200,14 +201,16 @@ class MatchedFilter:
     def match_image(self, pictures: ViewPictures, camera: RayDomain) -> Matches:
         """Compare the series of all lit camera pixels with boxes.
 
-        If these are many, only a grid of 2048 pixels is compared with all boxes. The places that
-        the grid points around a pixel see, moved by the pixel's distance from them, are guesses for
-        the pixel. If the points are far apart, a finer grid is matched first by such guesses.
+        If these are many, only a grid of 2048 pixels, or 512 in each of several views, is compared
+        with all boxes. The places that the grid points around a pixel see, moved by the pixel's
+        distance from them, are guesses for the pixel. If the points are far apart, a finer grid is
+        matched first by such guesses.
         """
         lit = np.flatnonzero(pictures.lit_pixels)
         if len(lit) <= self.boxes.most_series:
             return self.match(relative_series(pictures, lit))
-        step = max(2, int(np.sqrt(camera.size / (_GRID_PIXELS * camera.views))))
+        of_view = _GRID_PIXELS if camera.views == 1 else _GRID_PIXELS_OF_VIEW
+        step = max(2, int(np.sqrt(camera.size / (of_view * camera.views))))
         known = _on_grid(lit, camera, step)
         matches = self.match(relative_series(pictures, known))
         while step > 1:

@@ -18,12 +18,12 @@ from rfpipe.methods.footprints.candidates import (
     join_views,
     split_views,
 )
-from rfpipe.methods.footprints.geometry import first_candidates, refined_candidates
+from rfpipe.methods.footprints.geometry import first_candidates, refined_footprints
 from rfpipe.methods.footprints.indirect import IndirectLight
 from rfpipe.methods.footprints.pictures import IndirectPictures
 from rfpipe.methods.footprints.problem import PicturesByView, Problem
 from rfpipe.methods.footprints.reciprocity import with_transposed
-from rfpipe.methods.footprints.weights import fit_weights, fit_weights_of_part
+from rfpipe.methods.footprints.weights import fit_weights
 
 FAINT = 0.005
 """Candidates below this fraction of the floodlit image are dropped between searches."""
@@ -51,17 +51,17 @@ def better_footprints(problem: Problem, footprints: Candidates, light: IndirectL
         strict=True,
     )  # fmt: skip
     for pictures, part, in_pictures, boxes in views:
-        refined, floodlit = [], pictures.floodlit
-        search = refined_candidates(pictures, part, in_pictures, problem.camera, boxes)
-        for pixels, candidates in search:
-            fitted = fit_weights_of_part(candidates, pictures.at(pixels), in_pictures[pixels])
-            # only the rays in the fit of indirect light need the faint candidates
-            refined.append(_without_faint(problem, fitted, floodlit, FAINT, pixels))
+        floodlit = pictures.floodlit
+        # only the rays in the fit of indirect light need the faint candidates
+        refined = [
+            _without_faint(problem, fitted, floodlit, FAINT, pixels)
+            for pixels, fitted in refined_footprints(
+                pictures, part, in_pictures, problem.camera, boxes
+            )
+        ]
         searched.append(join_pixels(refined))
     footprints = join_views(searched)
-    if not light.basis.mapping.shared_rays:
-        return footprints
-    return fit_weights_of_views(grey, with_transposed(footprints), light.in_pictures(grey))
+    return with_transposed(footprints) if light.basis.mapping.shared_rays else footprints
 
 
 def _without_faint(
