@@ -1,4 +1,4 @@
-"""Compiled loops over camera pixels: weights of footprints.
+"""Compiled loops over camera pixels and candidates: weights of footprints.
 
 The loops evaluate the equations of `rfpipe.methods.footprints.weights` for all camera pixels, and
 have their symbols.
@@ -337,3 +337,26 @@ def apply_triangles(triangles: Float, pictures: Float) -> Float:
             result[i, q] = total
             place += q + 1
     return result
+
+
+@njit(cache=True, nogil=True)
+def merge_keys(first: Index, second: Index) -> tuple[Index, Index, Index]:
+    """Merge two ascending arrays of distinct keys.
+
+    Returns the distinct keys of both, ascending, and the positions of each array's keys in them.
+    """
+    union = np.empty(len(first) + len(second), np.int64)
+    positions = np.empty(len(first), np.int64), np.empty(len(second), np.int64)
+    a = b = count = 0
+    while a < len(first) or b < len(second):
+        takes_second = a == len(first) or (b < len(second) and second[b] <= first[a])
+        takes_first = b == len(second) or (a < len(first) and first[a] <= second[b])
+        union[count] = first[a] if takes_first else second[b]
+        if takes_first:
+            positions[0][a] = count
+            a += 1
+        if takes_second:
+            positions[1][b] = count
+            b += 1
+        count += 1
+    return union[:count], positions[0], positions[1]

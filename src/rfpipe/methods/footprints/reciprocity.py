@@ -19,7 +19,6 @@ from rfpipe.methods.footprints.candidates import (
     Candidates,
     join_views,
     split_views,
-    unique_keys,
 )
 from rfpipe.methods.footprints.pictures import IndirectPictures, ViewPictures
 from rfpipe.methods.footprints.weights import fit_weights
@@ -75,21 +74,21 @@ def fit_reciprocal_weights(
 def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]:
     """Add the transposed candidates that have light, and return the transposed weights, too.
 
-    The variance is the larger one of an entry and its transposed one. M = N.
+    The variance is the larger one of an entry and of its transposed one with light. M = N.
     """
+    from rfpipe.methods.footprints.kernels import merge_keys
+
     size = footprints.projector_size
     keys = footprints.keys
     # order of the entries by columns, which is the order of the transposed keys
     order = footprints.matrix(np.arange(len(keys), dtype=np.int32)).tocsc().data
-    mirrored = (keys % size * size + keys // size)[order]  # i N + j becomes j N + i
-    weights, variances = footprints.weights[order], footprints.variance[order]
-    union = unique_keys(np.concatenate([keys, mirrored[weights > 0]]))
-    index, mirrored_index = np.searchsorted(union, keys), np.searchsorted(union, mirrored)
-    known = union[np.minimum(mirrored_index, len(union) - 1)] == mirrored
-    mirrored_index = mirrored_index[known]
+    order = order[footprints.weights[order] > 0]
+    mirrored = keys[order]
+    mirrored = mirrored % size * size + mirrored // size  # i N + j becomes j N + i
+    union, index, mirrored_index = merge_keys(keys, mirrored)
     variance, direct, transposed = np.zeros((3, len(union)), np.float32)
-    direct[index], transposed[mirrored_index] = footprints.weights, weights[known]
+    direct[index], transposed[mirrored_index] = footprints.weights, footprints.weights[order]
     variance[index] = footprints.variance
-    variance[mirrored_index] = np.maximum(variance[mirrored_index], variances[known])
+    variance[mirrored_index] = np.maximum(variance[mirrored_index], footprints.variance[order])
     completed = replace(footprints, keys=union, variance=variance, weights=direct)
     return completed, transposed
