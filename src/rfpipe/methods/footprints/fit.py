@@ -31,7 +31,9 @@ from rfpipe.methods.footprints.candidates import Candidates, join_views, split_v
 from rfpipe.methods.footprints.indirect import (
     BEST,
     GOOD,
+    ROUGH,
     Accuracy,
+    FitData,
     IndirectLight,
     fit_cores,
     fit_data,
@@ -45,18 +47,26 @@ from rfpipe.methods.footprints.reciprocity import (
     symmetrized,
     with_transposed,
 )
-from rfpipe.methods.footprints.scales import fit_indirect_light
+from rfpipe.methods.footprints.scales import ScaleAccuracies, fit_indirect_light
 from rfpipe.methods.footprints.search import (
     FAINT,
     better_footprints,
     first_footprints,
     fit_weights_of_views,
 )
+from rfpipe.methods.footprints.weights import marginal_precision
 from rfpipe.transport.multiscale import coarsest_scale
 
 # Prior standard deviations of weights, as fractions of the weight and of the floodlit image: in the
 # last fit, and for the mean of D and its transpose.
 _LAST_PRIOR, _RECIPROCAL_PRIOR = (1.0, 0.02), (0.05, 0.003)
+
+
+# Before a further search S may be rough. In the last fit of a light field, more iterations at each
+# scale took longer and increased errors by 10 % (2 x 3 views of 36 x 44), since few rays take part;
+# with one view they decreased errors by 4 % (48 x 48).
+_BETWEEN_SEARCHES = ScaleAccuracies(ROUGH, ROUGH)
+_LAST_OF_IMAGE, _LAST_OF_LIGHT_FIELD = ScaleAccuracies(GOOD, BEST), ScaleAccuracies(ROUGH, BEST)
 
 
 class _LastFit(NamedTuple):
@@ -94,10 +104,11 @@ def fit_model(
     """
     problem = make_problem(camera, projector, grey, limits)
     footprints = previous if previous is not None else first_footprints(problem)
-    for _ in range(1 if previous is not None else 2):
-        light = fit_indirect_light(problem, footprints)
+    last = _LAST_OF_IMAGE if projector.views == 1 else _LAST_OF_LIGHT_FIELD
+    for accuracies in [last] if previous is not None else [_BETWEEN_SEARCHES, last]:
+        light = fit_indirect_light(problem, footprints, accuracies)
         footprints = better_footprints(problem, footprints, light)
-    footprints = _prepare_last_fit(grey, footprints)
+    footprints = _prepare_last_fit(grey, footprints, light)
     combined = _fit_parts(grey, footprints, light, problem.camera_rays, _SUM)
     fitted = tuple(_fit_channel(problem, pictures, combined) for pictures in channels)
     return FittedChannels(combined.footprints, fitted or (combined,))
@@ -111,15 +122,23 @@ def solution_count(projector: RayDomain, channels: int, *, is_first: bool) -> in
     return searches * (3 + 2 * scales) + last_fits * min(projector.views, 2)
 
 
-def _prepare_last_fit(pictures: PicturesByView, footprints: Candidates) -> Candidates:
-    """Drop faint candidates, and set the prior variances for the last fits."""
+def _prepare_last_fit(
+    pictures: PicturesByView, footprints: Candidates, light: IndirectLight
+) -> Candidates:
+    """Drop faint candidates, and set the prior variances for the last fits.
+
+    Where ``D = D^T``, candidates are completed by the transposed ones, and weights are fitted.
+    """
     parts = zip(pictures, split_views(footprints, len(pictures)), strict=True)
-    return join_views(
+    footprints = join_views(
         [
             part.above(FAINT, view.floodlit).with_variance(view.floodlit, *_LAST_PRIOR)
             for view, part in parts
         ]
     )
+    if not light.basis.mapping.shared_rays:
+        return footprints
+    return fit_weights_of_views(pictures, with_transposed(footprints), light.in_pictures(pictures))
 
 
 def _fit_parts(
@@ -145,28 +164,35 @@ def _fit_reciprocal_parts(
     camera_rays: Index | None,
     turns: int,
 ) -> ChannelModel:
-    """Fit weights near ``D = D^T``, and S, in turn.
+    """Fit S, and weights near ``D = D^T``, in turn.
 
     The mean of D and its transpose is known so well that S is fitted to the pictures minus direct
     light, with a small prior variance for errors of the weights.
     """
-    footprints = with_transposed(footprints)
-    footprints = fit_weights_of_views(pictures, footprints, light.in_pictures(pictures))
     for _ in range(turns):
-        footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
-        views = list(
-            zip(pictures, split_views(symmetrized(footprints), len(pictures)), strict=True)
-        )
-        prior = [part.with_variance(view.floodlit, *_RECIPROCAL_PRIOR) for view, part in views]
-        data = fit_data(pictures, join_views(prior), camera_rays)
-        residual = tuple(
-            replace(view, radiance=view.radiance - part.at(camera_rays).matrix() @ view.patterns)
-            for view, (_, part) in zip(data.pictures, views, strict=True)
-        )
-        data = replace(data, pictures=residual)
+        data = _data_without_direct_light(pictures, symmetrized(footprints), camera_rays)
         light = fit_cores(light, data, light.learned_deviations(), GOOD)
-    footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
+        footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
     return ChannelModel(footprints, light)
+
+
+def _data_without_direct_light(
+    pictures: PicturesByView, footprints: Candidates, camera_rays: Index | None
+) -> FitData:
+    """Subtract direct light from the pictures of a fit of S.
+
+    The prior variance of weights allows for errors of `footprints`, the mean of D and its
+    transpose.
+    """
+    parts = split_views(footprints.at(camera_rays), len(pictures))
+    indirect, precisions = [], []
+    for view, part in zip(pictures, parts, strict=True):
+        in_fit = view.at(camera_rays)
+        prior = part.with_variance(in_fit.floodlit, *_RECIPROCAL_PRIOR)
+        precisions.append(marginal_precision(prior, in_fit))
+        direct = part.matrix() @ in_fit.patterns
+        indirect.append(replace(in_fit, radiance=in_fit.radiance - direct))
+    return FitData(tuple(indirect), tuple(precisions), camera_rays)
 
 
 def _fit_channel(

@@ -166,12 +166,9 @@ def fit_data(
     pictures: Sequence[ViewPictures], footprints: Candidates, camera_rays: Index | None
 ) -> FitData:
     """Select the camera rays of a fit, and marginalise the weights of their footprints."""
-    parts = split_views(footprints, len(pictures))
+    parts = split_views(footprints.at(camera_rays), len(pictures))
     in_fit = tuple(view.at(camera_rays) for view in pictures)
-    precisions = tuple(
-        marginal_precision(part.at(camera_rays), view)
-        for part, view in zip(parts, in_fit, strict=True)
-    )
+    precisions = tuple(map(marginal_precision, parts, in_fit))
     return FitData(in_fit, precisions, camera_rays)
 
 

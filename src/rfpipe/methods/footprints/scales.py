@@ -24,9 +24,8 @@ from rfpipe.methods.footprints.functions import (
     projector_factor,
 )
 from rfpipe.methods.footprints.indirect import (
-    BEST,
-    GOOD,
     ROUGH,
+    Accuracy,
     FitData,
     IndirectLight,
     fit_cores,
@@ -48,7 +47,16 @@ if TYPE_CHECKING:
 _ALLOWED_ERROR = 0.004
 
 
-def fit_indirect_light(problem: Problem, footprints: Candidates) -> IndirectLight:
+class ScaleAccuracies(NamedTuple):
+    """Accuracies of S in a fit of indirect light: at each scale, and with all functions."""
+
+    each: Accuracy
+    final: Accuracy
+
+
+def fit_indirect_light(
+    problem: Problem, footprints: Candidates, accuracies: ScaleAccuracies
+) -> IndirectLight:
     """Fit S with functions of finer and finer scales, where the pictures need them."""
     camera, projector = problem.camera, problem.projector
     start = _start(problem, footprints)
@@ -64,7 +72,7 @@ def fit_indirect_light(problem: Problem, footprints: Candidates) -> IndirectLigh
         parts = np.zeros(basis.part_count, np.float32)
         light = IndirectLight(basis, start.f, start.g, *gains, parts)
         light = fit_cores(light, data, basis.prior_deviations(start.indirect, mean), ROUGH)
-        return fit_gains(fit_cores(light, data, light.learned_deviations(), GOOD), data)
+        return fit_gains(fit_cores(light, data, light.learned_deviations(), accuracies.each), data)
 
     def cells_to_refine(light: IndirectLight, scale: int) -> Bools:
         # the two coarsest scales cover the whole chart; only finer ones depend on the residual
@@ -73,7 +81,7 @@ def fit_indirect_light(problem: Problem, footprints: Candidates) -> IndirectLigh
         return _unexplained_chart_cells(start.chart, scale, light, data)
 
     light = coarse_to_fine(start.chart.shape, fit, cells_to_refine)
-    return fit_cores(light, data, light.learned_deviations(), BEST)
+    return fit_cores(light, data, light.learned_deviations(), accuracies.final)
 
 
 class _Start(NamedTuple):
