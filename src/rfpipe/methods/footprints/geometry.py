@@ -19,6 +19,7 @@ the camera pixel's neighbours that see the candidate or a pixel near it.
 from __future__ import annotations
 
 from collections.abc import Iterator
+from typing import NamedTuple
 
 import numpy as np
 
@@ -134,42 +135,68 @@ def refined_footprints(
     """
     strong = footprints.above(_STRONG, pictures.floodlit)
     brightest, matched = _brightest(strong, camera), matched_filter(boxes, pictures)
-    no_keys = strong.keys[:0]
     for first, last in pictures.ranges():
-        part, light = pictures.at(slice(first, last)), indirect[first:last]
-        earlier = strong.between(first, last)
-        places = _neighbour_places(brightest, camera, first, last)
-        candidates = _collected(earlier, no_keys, places, part.floodlit, boxes)
-        fitted = fit_weights_of_part(candidates, part, light)
+        search = _Search(
+            pictures.at(slice(first, last)),
+            indirect[first:last],
+            strong.between(first, last),
+            _neighbour_places(brightest, camera, first, last),
+        )
+        fitted = _fit_near(search, boxes, strong.keys[:0])
         limit = boxes.most_series * (last - first) // camera.size
-        pixels, keys = _boxes_of_residual(part, fitted, light, matched, limit)
-        part, earlier, places = part.at(pixels), earlier.at(pixels), places[:, pixels]
-        candidates = _collected(earlier, keys, places, part.floodlit, boxes)
-        again = fit_weights_of_part(candidates, part, light[pixels])
-        yield slice(first, last), fitted.with_pixels(pixels, again)
+        pixels, keys = _boxes_of_residual(search, fitted, matched, limit)
+        with_boxes = _fit_near(search.at(pixels), boxes, keys)
+        yield slice(first, last), fitted.with_pixels(pixels, with_boxes)
 
 
-def _collected(
-    strong: Candidates, unexplained: Index, neighbour_places: Index, floodlit: Float, boxes: Boxes
-) -> Candidates:
-    """Collect the candidates of m camera pixels, with prior variances; new ones have weight 0.
+class _Search(NamedTuple):
+    """Inputs of the search for the footprints of m camera pixels.
 
-    Parameters
+    Attributes
     ----------
+    pictures : ViewArrays
+    indirect : ndarray of float32, shape (m, P)
+        Indirect light in the pictures, radiance.
     strong : Candidates
-        Earlier ones.
-    unexplained : ndarray of int64
-        Keys of candidates from the residual.
+        Earlier footprints above 1 % of the floodlit image.
     neighbour_places : ndarray of int64, shape (8, m)
-    floodlit : ndarray of float32, shape (m,)
-    boxes : Boxes
+        Brightest candidate of each neighbouring camera pixel, -1 for none.
     """
+
+    pictures: ViewArrays
+    indirect: Float
+    strong: Candidates
+    neighbour_places: Index
+
+    def at(self, pixels: Index) -> _Search:
+        """Select camera pixels by their numbers, ascending."""
+        return _Search(
+            self.pictures.at(pixels),
+            self.indirect[pixels],
+            self.strong.at(pixels),
+            self.neighbour_places[:, pixels],
+        )
+
+
+def _fit_near(search: _Search, boxes: Boxes, keys: Index) -> Candidates:
+    """Fit the weights of candidates near earlier ones, near neighbours, and of given keys."""
+    candidates = _collected(search, boxes, keys)
+    return fit_weights_of_part(candidates, search.pictures, search.indirect)
+
+
+def _collected(search: _Search, boxes: Boxes, further: Index) -> Candidates:
+    """Collect candidates with prior variances; new ones have weight 0.
+
+    `further` are keys of candidates from the residual.
+    """
+    strong, neighbour_places = search.strong, search.neighbour_places
+    floodlit = search.pictures.floodlit
     size, is_place = strong.projector_size, neighbour_places >= 0
     suggested = unique_keys((np.arange(len(floodlit)) * size + neighbour_places)[is_place])
     support = _neighbour_support(suggested, neighbour_places, boxes)
     confirmed = suggested[support > 1 / len(_NEIGHBOURS)]
     nearby = _with_neighbours(np.concatenate([strong.keys, confirmed]), boxes.projector)
-    keys = unique_keys(np.concatenate([nearby, unexplained]))
+    keys = unique_keys(np.concatenate([nearby, further]))
     weights = np.zeros(len(keys), np.float32)
     weights[np.searchsorted(keys, strong.keys)] = strong.weights
     support = _neighbour_support(keys, neighbour_places, boxes)
@@ -180,11 +207,7 @@ def _collected(
 
 
 def _boxes_of_residual(
-    pictures: ViewArrays,
-    footprints: Candidates,
-    indirect: Float,
-    matched: MatchedFilter,
-    limit: int,
+    search: _Search, footprints: Candidates, matched: MatchedFilter, limit: int
 ) -> tuple[Index, Index]:
     """Find boxes that explain residuals of camera pixels.
 
@@ -200,8 +223,9 @@ def _boxes_of_residual(
     keys : ndarray of int64
         Candidates in and around the boxes: ``i N + j`` for pixel number i of `pixels`.
     """
+    pictures = search.pictures
     inverse_variance = pictures.inverse_variance(MODEL_ERROR)
-    residual = pictures.radiance - indirect - footprints.matrix() @ pictures.patterns
+    residual = pictures.radiance - search.indirect - footprints.matrix() @ pictures.patterns
     chi_square: Float = np.einsum("iq,iq,iq->i", inverse_variance, residual, residual)
     may_hide_light = chi_square > max(_LEAST_CHI_SQUARE_DROP, residual.shape[1] / 2)
     pixel = np.flatnonzero(pictures.lit_pixels & may_hide_light)
