@@ -228,4 +228,7 @@ def _fit_channel(
     )
     if not share.any():
         return ChannelModel(footprints, light)
-    return _fit_parts(pictures, footprints, light, problem.camera_rays, _CHANNEL)
+    fitted = _fit_parts(pictures, footprints, light, problem.camera_rays, _CHANNEL)
+    # the candidates are those of the sum, and their keys are in memory once for all channels
+    weights = fitted.footprints.weights
+    return replace(fitted, footprints=replace(combined.footprints, weights=weights))

@@ -62,13 +62,18 @@ def fit_reciprocal_weights(
     indirect : iterable of IndirectPictures
         Indirect light in the pictures of each view, radiance.
     """
-    completed, transposed = _with_transposed_weights(footprints)
-    expected = split_views(replace(completed, weights=transposed), len(pictures))
     parts = []
+    expected = split_views(_transposed(footprints), len(pictures))
     for view, part, light in zip(pictures, expected, indirect, strict=True):
         prior = part.with_variance(view.floodlit, *_DIFFERENCE)
         parts.append(fit_weights(prior, view, light, prior.weights))
     return join_views(parts)
+
+
+def _transposed(footprints: Candidates) -> Candidates:
+    """Return ``D^T``, with the candidates of `with_transposed`."""
+    completed, transposed = _with_transposed_weights(footprints)
+    return replace(completed, weights=transposed)
 
 
 def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]:
@@ -90,5 +95,6 @@ def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]
     direct[index], transposed[mirrored_index] = footprints.weights, footprints.weights[order]
     variance[index] = footprints.variance
     variance[mirrored_index] = np.maximum(variance[mirrored_index], footprints.variance[order])
-    completed = replace(footprints, keys=union, variance=variance, weights=direct)
+    # a copy, since the union is the beginning of a longer array
+    completed = replace(footprints, keys=union.copy(), variance=variance, weights=direct)
     return completed, transposed
