@@ -128,7 +128,7 @@ def match_near(
         As in `match_all`.
     guesses : ndarray of float64, shape (m, guesses, 2)
         Row and column in pixels; NaN for none. A box is compared if it is at most `reach` pixels
-        from a guess along both axes.
+        from a guess along both axes. A guess within a pixel of an earlier one is skipped.
     reach : float
 
     Returns
@@ -140,12 +140,25 @@ def match_near(
     for i in range(len(series)):
         for guess in range(guesses.shape[1]):
             row, column = guesses[i, guess]
-            if np.isnan(row):
+            if np.isnan(row) or _is_repeated(guesses[i], guess):
                 continue
             box, correlation = _best_near(series[i], image, widths, scales, row, column, reach)
             if correlation > score[i]:
                 best[i], score[i] = box, correlation
     return best, score
+
+
+@njit(cache=True, nogil=True)
+def _is_repeated(guesses: Double, number: int) -> bool:
+    """Test whether a guess is within a pixel of an earlier one, along both axes.
+
+    `guesses` are those of a series, (guesses, 2).
+    """
+    for earlier in range(number):
+        row, column = np.abs(guesses[earlier] - guesses[number])
+        if row <= 1 and column <= 1:
+            return True
+    return False
 
 
 @njit(cache=True, nogil=True)
