@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from tests.rigs.known_matrix import scene_matrices
 
-from rfpipe.methods.error_estimate import (
+from rfpipe.methods.error_estimate import estimate_error
+from rfpipe.methods.held_out import (
     HELD_OUT,
     HELD_OUT_OF_PRIOR,
-    estimate_error,
     held_out_parts,
     held_out_patterns,
 )

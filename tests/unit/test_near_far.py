@@ -14,7 +14,7 @@ from rfpipe.config import CameraConfig
 from rfpipe.errors import CaptureError
 from rfpipe.methods.adaptive.rounds import RESIDUAL_ROUNDS
 from rfpipe.methods.adaptive.state import Phase
-from rfpipe.methods.error_estimate import HELD_OUT
+from rfpipe.methods.held_out import HELD_OUT
 from rfpipe.methods.near_far.method import ROUNDS, NearFar
 from rfpipe.provenance import generator
 from rfpipe.scenes import Scene, reference_scene, relighting_patterns

@@ -15,7 +15,8 @@ from rfpipe.methods.adaptive.prior import (
     pooled_estimate,
     without_indirect_light,
 )
-from rfpipe.methods.error_estimate import Estimate, held_out_patterns
+from rfpipe.methods.error_estimate import Estimate
+from rfpipe.methods.held_out import held_out_patterns
 from rfpipe.methods.images import Pictures, ScheduledImages
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene

@@ -17,7 +17,7 @@ from rfpipe.methods import (
     options_of,
 )
 from rfpipe.methods.base import DEFAULT_TARGET, check_rays
-from rfpipe.methods.error_estimate import HELD_OUT_OF_PRIOR
+from rfpipe.methods.held_out import HELD_OUT_OF_PRIOR
 from rfpipe.references.symmetry import is_coaxial, log_asymmetry, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.storage.base import Storage

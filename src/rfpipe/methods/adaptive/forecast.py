@@ -32,7 +32,7 @@ import numpy as np
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
-from rfpipe.methods.error_estimate import HELD_OUT
+from rfpipe.methods.held_out import HELD_OUT
 
 
 class PatternLaw(NamedTuple):

@@ -61,7 +61,8 @@ from rfpipe.methods.base import (
     check_rays,
     get_method,
 )
-from rfpipe.methods.error_estimate import Estimate, estimate_error, held_out_patterns
+from rfpipe.methods.error_estimate import Estimate, estimate_error
+from rfpipe.methods.held_out import held_out_patterns
 from rfpipe.methods.images import Pictures, ScheduledImages
 from rfpipe.methods.residual.fit import fit_residual
 from rfpipe.methods.residual.model import CameraCells, residual_cells

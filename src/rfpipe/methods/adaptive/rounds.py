@@ -5,7 +5,7 @@ from __future__ import annotations
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.methods.adaptive.decisions import next_pattern_count
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, Round
-from rfpipe.methods.error_estimate import HELD_OUT, HELD_OUT_OF_PRIOR
+from rfpipe.methods.held_out import HELD_OUT, HELD_OUT_OF_PRIOR
 
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
 """Largest number of patterns of each round for a residual: about 1.5 times that of the last."""

@@ -28,7 +28,6 @@ from rfpipe.methods.adaptive.prior import parts_of
 from rfpipe.methods.adaptive.rounds import Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import StateArrays
-from rfpipe.methods.error_estimate import HELD_OUT
 from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.direct_light import pixels_without_direct_light, projector_cells
 from rfpipe.methods.footprints.fit import fit_model, solution_count
@@ -39,6 +38,7 @@ from rfpipe.methods.footprints.pictures import (
     radiance_unit,
     split_pictures,
 )
+from rfpipe.methods.held_out import HELD_OUT
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells
 from rfpipe.methods.states import with_prefix, without_prefix
