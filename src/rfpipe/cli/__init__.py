@@ -9,13 +9,15 @@ from typing import Annotated
 
 import typer
 
+from rfpipe.cli.catalogue import catalogue
 from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
 from rfpipe.cli.offline import import_, patterns
+from rfpipe.cli.plan import plan
 from rfpipe.cli.publishing import collection, keep, publish
 from rfpipe.cli.relight import relight
 from rfpipe.cli.rig import aim, calibrate, serve
-from rfpipe.cli.run import PASSED_ON, catalogue, plan, run
+from rfpipe.cli.run import PASSED_ON, run
 from rfpipe.cli.settings import settings
 from rfpipe.cli.transports import export, info, movie
 from rfpipe.cli.verify import verify

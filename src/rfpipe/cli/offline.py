@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from rfpipe.cli.run import ConfigFile
+from rfpipe.cli.arguments import ConfigFile
 from rfpipe.text import counted
 
 if TYPE_CHECKING:

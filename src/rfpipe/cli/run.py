@@ -1,4 +1,4 @@
-"""``rfpipe run``, ``plan`` and ``catalogue``: a run, its forecast, and its overview."""
+"""``rfpipe run``: acquisitions by Snakemake, with rfpipe's own checks and messages."""
 
 from __future__ import annotations
 
@@ -7,26 +7,18 @@ import shlex
 import signal
 import subprocess
 from argparse import ArgumentParser
-from collections.abc import Iterator
-from contextlib import chdir, contextmanager
+from contextlib import chdir
 from dataclasses import dataclass
-from datetime import timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING
 
 import typer
 
-from rfpipe.text import counted
+from rfpipe.cli.arguments import working_in
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from rfpipe.config import Config
 
-ConfigFile = Annotated[
-    Path,
-    typer.Argument(metavar="CONFIG", help="Settings file of a run, such as config/config.yaml."),
-]
 PASSED_ON = {
     "allow_extra_args": True,
     "ignore_unknown_options": True,
@@ -172,7 +164,7 @@ def _checked(options: _Options) -> Config | None:
         read_yaml(file)
     if len(options.files) != 1:
         return None
-    with _working_in(options.folder, Path(options.files[0])) as path:
+    with working_in(options.folder, Path(options.files[0])) as path:
         return load_config(path)
 
 
@@ -268,20 +260,6 @@ def _print_outcome(folder: Path, status: int) -> None:
         typer.echo(f"rfpipe: {failure_line(failures, folder)}", err=True)
 
 
-@contextmanager
-def _working_in(folder: Path, settings: Path) -> Iterator[Path]:
-    """Change to a run's folder, to which the file names in its settings are relative.
-
-    Yields
-    ------
-    Path
-        The settings file, relative to the new folder or absolute.
-    """
-    path = settings.absolute() if folder != Path() else settings
-    with chdir(folder if folder.is_dir() else Path()):
-        yield path
-
-
 def _status_of(command: list[str]) -> int:
     """Run a program and return its exit status, without ending before it on a signal.
 
@@ -299,153 +277,3 @@ def _status_of(command: list[str]) -> int:
     finally:
         for number, handler in previous.items():
             signal.signal(number, handler)
-
-
-def plan(
-    config: ConfigFile,
-    folder: Annotated[
-        Path, typer.Option(help="Folder for the results, relative to the run's folder.")
-    ] = Path("results"),
-    directory: Annotated[
-        Path, typer.Option("--directory", "-d", help="Folder of the run, as for 'rfpipe run'.")
-    ] = Path(),
-) -> None:
-    """Check a settings file, and forecast pictures, time, memory and disk space of its run.
-
-    The command reports all mistakes in the file, and requirements of scenes that this machine
-    doesn't meet. The settings file of a rig is checked without a forecast.
-
-    Pictures are all brackets that the rig takes: references, symmetry test, patterns, check and
-    verification pictures. Their number depends on the scene more than on anything that is known
-    before the first picture. "half take" are the quartiles of the tuning scenes of
-    docs/benchmark.md; scenes with glass, mirrors and gloss often take 4 to 11 times the expected
-    patterns. "at most" counts all rounds of the method. The log of a run updates the forecast after
-    each round. Time is that of the pictures on a rig; disk space is before compression.
-    """
-    from rfpipe.config import load_config, load_rig_config, read_yaml
-    from rfpipe.config.files import is_rig
-    from rfpipe.stages.forecast import forecast
-    from rfpipe.store import files
-
-    with _working_in(directory, config) as path:
-        if is_rig(read_yaml(path)):
-            rig = load_rig_config(path)
-            what = "a bench in software" if rig.bench is not None else f"a rig, {rig.kind}"
-            typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
-            return
-        settings = load_config(path)
-        count = counted(len(settings.acquisitions), "acquisition")
-        jobs, reason = settings.jobs_and_reason
-        typer.echo(f"{config}: valid. {count}. One job per {jobs}, {reason}\n")
-        rows = forecast(settings)
-        free = files.free_bytes(folder)
-        scene_lines = _lines_of_scenes(settings)
-    typer.echo(_forecast_table(rows))
-    _print_totals(rows, free)
-    if settings.capture.rig == "offline":
-        frames, largest = rows["frames"].sum(), rows["max_frames"].sum()
-        typer.echo(f"Taken by hand, these are {frames:,} photographs, at most {largest:,}.")
-    for line in scene_lines:
-        typer.echo(line)
-
-
-def _print_totals(rows: pd.DataFrame, free: int) -> None:
-    """Print time and disk space of all acquisitions, and whether this machine has enough."""
-    from rfpipe.jobs.workers import machine_memory_mb
-    from rfpipe.storage.space import bytes_text
-
-    total = rows[["pictures", "max_pictures", "seconds", "max_seconds", "disk", "max_disk"]].sum()
-    disk, memory = int(total["disk"]), int(rows["memory"].max())
-    scope = "One after the other: " if len(rows) > 1 else "In total: "
-    is_open = (rows["max_pictures"] > rows["pictures"]).any()
-    max_time = ""
-    if is_open:
-        max_time = f", at most {total['max_pictures']:,.0f} and {_duration(total['max_seconds'])}"
-    max_disk = f", at most {bytes_text(int(total['max_disk']))}" if is_open else ""
-    typer.echo(
-        f"\n{scope}{total['pictures']:,.0f} pictures and {_duration(total['seconds'])} on a rig"
-        f"{max_time}; {bytes_text(disk)} of disk{max_disk}; {bytes_text(free)} are free."
-    )
-    if total["max_disk"] > free:
-        typer.echo(
-            "The disk may be too small: make room, put the results on another disk, or set "
-            "capture.keep_raw to false. A level that doesn't fit is not captured."
-        )
-    available = machine_memory_mb() * 10**6
-    if memory > available:
-        largest = rows.iloc[int(rows["memory"].argmax())]
-        typer.echo(
-            f"{largest['scene']} by {largest['method']} probably needs {bytes_text(memory)} of "
-            f"memory, but this machine has {bytes_text(available)}: use another machine, fewer "
-            "rays, or another method."
-        )
-
-
-def _lines_of_scenes(settings: Config) -> list[str]:
-    """Return lines on the choices, omitted light and missing requirements of each scene."""
-    from rfpipe.report.text import setting_text
-
-    lines = []
-    for name in dict.fromkeys(scene for scene, _ in settings.acquisitions):
-        scene = settings.scenes[name]
-        choices = (f"{it.setting} {setting_text(it.value)} ({it.reason})" for it in scene.choices)
-        sentences = [f"chosen: {', '.join(choices)}"] if scene.choices else []
-        sentences += [*scene.omissions, *(f"can't run here: {it}" for it in scene.obstacles)]
-        lines += [f"{name}: {sentence}." for sentence in sentences]
-    return lines
-
-
-def _forecast_table(rows: pd.DataFrame) -> str:
-    """Format the forecast as a table."""
-    from rfpipe.storage.space import bytes_text
-
-    table = rows.copy()
-    for name in (
-        "rays",
-        "patterns",
-        "pictures",
-        "lower_pictures",
-        "upper_pictures",
-        "max_pictures",
-    ):
-        table[name] = rows[name].map("{:,}".format)
-    table["half take"] = table["lower_pictures"] + " to " + table["upper_pictures"]
-    table["seconds"] = rows["seconds"].map(_duration)
-    for name in ("disk", "memory"):
-        table[name] = rows[name].map(bytes_text)
-    order = [
-        "scene",
-        "method",
-        "rays",
-        "patterns",
-        "pictures",
-        "half take",
-        "max_pictures",
-        "seconds",
-    ]
-    names = {"seconds": "time", "max_pictures": "at most"}
-    table = table[[*order, "disk", "memory"]].rename(columns=names)
-    return table.to_string(index=False, col_space=8)
-
-
-def _duration(seconds: float) -> str:
-    return str(timedelta(seconds=round(seconds)))
-
-
-def catalogue(
-    config: ConfigFile,
-    folder: Annotated[
-        Path, typer.Option(help="Results of the run, which may still be running.")
-    ] = Path("results"),
-) -> None:
-    """Write results/catalogue/index.html: state and thumbnail of each acquisition.
-
-    A run with a collection writes this page at its start and end, also after errors; this command
-    writes it at any time. The page can be sorted and filtered in any browser.
-    """
-    from rfpipe.config import load_config
-    from rfpipe.report.catalogue import CATALOGUE, write_catalogue
-
-    counts = write_catalogue(load_config(config), folder)
-    summary = ", ".join(f"{count} {state}" for state, count in counts.items() if count)
-    typer.echo(f"{folder / CATALOGUE}: {summary}")
