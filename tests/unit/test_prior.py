@@ -10,14 +10,11 @@ import pytest
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
 from rfpipe.errors import InputError
-from rfpipe.methods.adaptive.prior import (
-    denoised_floodlit,
-    pooled_estimate,
-    without_indirect_light,
-)
+from rfpipe.methods.adaptive.prior import pooled_estimate
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.held_out import held_out_patterns
 from rfpipe.methods.images import Pictures, ScheduledImages
+from rfpipe.methods.near_far.prior import denoised_floodlit, without_indirect_light
 from rfpipe.provenance import generator
 from rfpipe.scenes import reference_scene
 from rfpipe.stages.acquire import AcquisitionResult

@@ -16,16 +16,13 @@ from rfpipe.methods import (
     get_method,
     options_of,
 )
+from rfpipe.methods.adaptive.prior import PATTERNS_WITH_PRIOR
 from rfpipe.methods.base import DEFAULT_TARGET, check_rays
-from rfpipe.methods.held_out import HELD_OUT_OF_PRIOR
 from rfpipe.references.symmetry import is_coaxial, log_asymmetry, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
 from rfpipe.storage.base import Storage
 from rfpipe.transport.base import Transport
 from rfpipe.transport.filling import looks_coaxial
-
-_PATTERNS_WITH_PRIOR = 1 + HELD_OUT_OF_PRIOR
-"""Patterns after which an acquisition of an unchanged scene ends."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +122,7 @@ class Plan:
     def expected_patterns(self) -> int:
         """Number of patterns that the method is expected to show."""
         if self.prior is not None:
-            return _PATTERNS_WITH_PRIOR
+            return PATTERNS_WITH_PRIOR
         forecast = self.description.forecast(
             self.camera, self.projector, self.channels, self.options
         )

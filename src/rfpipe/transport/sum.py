@@ -98,3 +98,8 @@ class SumTransport(Transport):
 def _prefix(index: int) -> str:
     """Prefix of the names of a part's arrays."""
     return f"part_{index:02d}_"
+
+
+def terms_of(transport: Transport) -> tuple[Transport, ...]:
+    """Return the terms of a sum; any other transport is its own single term."""
+    return transport.parts if isinstance(transport, SumTransport) else (transport,)

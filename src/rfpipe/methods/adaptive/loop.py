@@ -44,7 +44,7 @@ from rfpipe.methods.adaptive.forecast import (
     target_of,
 )
 from rfpipe.methods.adaptive.model import AdaptiveModel
-from rfpipe.methods.adaptive.prior import pooled_estimate
+from rfpipe.methods.adaptive.prior import USEFUL_PRIOR, pooled_estimate
 from rfpipe.methods.adaptive.rounds import Rounds, next_round, random_pattern_count
 from rfpipe.methods.adaptive.state import (
     STOPPING_FRACTION,
@@ -73,10 +73,6 @@ from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
 
 _log = logging.getLogger(__name__)
-
-USEFUL_PRIOR = 0.05
-"""Estimated error of a prior above which the acquisition continues without it. The first round of a
-model leaves about as much; a prior with an error of 10 % cost more patterns than none."""
 
 # Where it is optional, the residual of a model is fitted in the second round, and kept if it leaves
 # less than this share of the error. On the tuning scenes it is kept there or in no round.
@@ -119,7 +115,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     @abstractmethod
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> AdaptiveModel:
-        """Make the model of the floodlit picture alone."""
+        """Make the model of the floodlit picture alone, with the prior that the state accepts."""
 
     @abstractmethod
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:

@@ -1,59 +1,23 @@
-"""Use of a prior: the transport of an earlier acquisition with the same rig."""
+"""Judgement of a prior: the transport of an earlier acquisition with the same rig."""
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict
 
-import numpy as np
-
-from rfpipe.array_types import Float
 from rfpipe.methods.error_estimate import Estimate
-from rfpipe.methods.images import Pictures, relight_white
+from rfpipe.methods.held_out import HELD_OUT_OF_PRIOR
 from rfpipe.transport.base import Transport, last_estimate
-from rfpipe.transport.sum import SumTransport
 
-# Standard deviations up to which a pixel's difference from the prior counts as noise.
-_UNCHANGED = 2.0
+PATTERNS_WITH_PRIOR = 1 + HELD_OUT_OF_PRIOR
+"""Patterns after which an acquisition of an unchanged scene ends: floodlit and held-out ones."""
+
+USEFUL_PRIOR = 0.05
+"""Estimated error of a prior above which the acquisition continues without it. The first round of a
+model leaves about as much; a prior with an error of 10 % cost more patterns than none."""
 
 # Ratio of a prior's new estimate to its own up to which the scene may be unchanged: two standard
 # deviations of the ratio, where estimates from 6 and 3 pictures have 15 and 21 %.
 _AGREEMENT = 1.5
-
-
-def parts_of(prior: Transport | None) -> tuple[Transport, ...]:
-    """Return the terms of a prior; none without one."""
-    if prior is None:
-        return ()
-    return prior.parts if isinstance(prior, SumTransport) else (prior,)
-
-
-def denoised_floodlit(floodlit: Pictures, prior: Transport) -> Pictures:
-    """Replace the noise of a floodlit picture by the prior's where both agree.
-
-    The prior's floodlit image is scaled to the mean of the picture over 5 x 5 pixels. A pixel that
-    differs from it by d, with a standard deviation s, becomes this expected value plus
-    ``d max(1 - (2 s / d)^2, 0)``.
-    """
-    expected = relight_white(prior, floodlit.lit)
-    shape = prior.camera_shape
-    expected *= _ratio(_smooth(floodlit.radiance, shape, 5), _smooth(expected, shape, 5))
-    difference = floodlit.radiance - expected
-    excess = np.maximum(np.square(difference) - _UNCHANGED**2 * floodlit.variance, 0)
-    return replace(floodlit, radiance=expected + _ratio(excess, difference))
-
-
-def _ratio(numerator: Float, denominator: Float) -> Float:
-    """Divide; 0 where the denominator is 0."""
-    zero = np.zeros_like(numerator)
-    return np.divide(numerator, denominator, out=zero, where=denominator != 0)
-
-
-def _smooth(images: Float, shape: tuple[int, ...], width: int) -> Float:
-    """Average images (..., rays) over squares of `width` pixels."""
-    from scipy.ndimage import uniform_filter
-
-    stacks = images.reshape(*images.shape[:-1], *shape)
-    return uniform_filter(stacks, width, axes=(-2, -1)).reshape(images.shape)
 
 
 def pooled_estimate(estimate: Estimate, prior: Transport) -> Estimate:
@@ -67,13 +31,3 @@ def pooled_estimate(estimate: Estimate, prior: Transport) -> Estimate:
         return estimate
     factor = (2 * earlier_error / estimate.error + 1) / 3
     return Estimate(**{kind: factor * error for kind, error in asdict(estimate).items()})
-
-
-def without_indirect_light(pictures: Pictures, prior: Transport) -> Pictures:
-    """Subtract the indirect light of a prior T from pictures, c + (T 1) p - T p.
-
-    Entries of its diagonal cancel: the pictures of a coaxial rig keep their direct light.
-    """
-    floodlit = relight_white(prior, np.ones_like(pictures.lit[:1]))
-    indirect = relight_white(prior, pictures.lit) - floodlit * pictures.lit[:, None]
-    return replace(pictures, radiance=pictures.radiance - indirect)

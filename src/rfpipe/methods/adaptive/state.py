@@ -130,7 +130,7 @@ class AdaptiveState(MethodState):
 
     @property
     def accepted_prior(self) -> Transport | None:
-        """The prior, unless the held-out pictures refuted it."""
+        """The prior of the models, None if the held-out pictures refuted it."""
         return None if self.prior_is_refuted else self.prior
 
     @property

@@ -24,7 +24,6 @@ from rfpipe.methods.adaptive.decisions import (
 )
 from rfpipe.methods.adaptive.forecast import HierarchyCost
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
-from rfpipe.methods.adaptive.prior import parts_of
 from rfpipe.methods.adaptive.rounds import Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import StateArrays
@@ -45,7 +44,7 @@ from rfpipe.methods.states import with_prefix, without_prefix
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport
-from rfpipe.transport.sum import SumTransport
+from rfpipe.transport.sum import SumTransport, terms_of
 
 ROUNDS = (24, 26, 36, 48, 64, 80, 110, 150)
 """Largest number of random patterns of each round, for one projector view.
@@ -159,6 +158,23 @@ class FootprintModel:
     footprints: Candidates | None = None
     prior: Transport | None = None
 
+    @classmethod
+    def of(
+        cls,
+        floodlit: Pictures,
+        camera: RayDomain,
+        projector: RayDomain,
+        limit: int,
+        prior: Transport | None,
+    ) -> Self:
+        """Make the model of a floodlit picture.
+
+        `limit` is the largest number of patterns of the acquisition, 0 for no limit.
+        """
+        is_suitable = suits_random_patterns(projector, limit) and floodlit.has_light()
+        unit = radiance_unit(floodlit)
+        return cls(camera, projector, floodlit.floodlit, unit, is_suitable, prior=prior)
+
     @property
     def counts(self) -> Mapping[str, int]:
         """Columns of the round's row in the table of levels, see `Transport.level_rows`.
@@ -169,6 +185,11 @@ class FootprintModel:
             return {}
         nodes, scalar = self.arrays["cores_columns"], self.arrays["footprints_columns"]
         return {"nodes": len(nodes), "scalar": len(scalar)}
+
+    @property
+    def prior_terms(self) -> tuple[Transport, ...]:
+        """Terms of the prior, which the first fit replaces."""
+        return terms_of(self.prior) if self.prior is not None and self.arrays is None else ()
 
     def next_patterns(self, key: int, count: int) -> Bools:
         """Draw random patterns of three kinds of detail, see `view_patterns`."""
@@ -194,8 +215,8 @@ class FootprintModel:
         """Assemble footprints with indirect light, or the hierarchy, and the residual."""
         if hierarchy is not None:
             return SumTransport([hierarchy, *residual], rows)
-        base = parts_of(self.prior) if self.arrays is None else ()
-        return SumTransport([*(base or [self.fitted_transport()]), *residual], rows)
+        base = self.prior_terms or [self.fitted_transport()]
+        return SumTransport([*base, *residual], rows)
 
     def dark_pixels(self, lit: Bools) -> Bools:
         """Find the camera pixels with at most 2 % of their direct light."""
@@ -207,8 +228,8 @@ class FootprintModel:
 
     def fitted_transport(self) -> FootprintTransport:
         """Return the fit; before it, the prior's fit, or the floodlit image spread evenly."""
-        fits = [part for part in parts_of(self.prior) if isinstance(part, FootprintTransport)]
-        if self.arrays is None and fits:
+        fits = [term for term in self.prior_terms if isinstance(term, FootprintTransport)]
+        if fits:
             return fits[0]
         arrays = self.arrays
         if arrays is None:
@@ -248,7 +269,7 @@ class FootprintState(AdaptiveState):
         state = super().from_arrays(start, levels)
         if state.floodlit is None:
             return state
-        model = first_model(state, state.floodlit)
+        model = _first_model(state, state.floodlit)
         level = latest("footprint_sizes", levels)
         if level is not None:
             camera_size, projector_size = level.attributes["footprint_sizes"]
@@ -263,21 +284,6 @@ class FootprintState(AdaptiveState):
             arrays = dict(without_prefix("model_", level.arrays))
             model = replace(model, arrays=arrays, footprints=footprints)
         return replace(state, model=model)
-
-
-def first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
-    """Make the model of the floodlit picture alone."""
-    suits = suits_random_patterns(state.projector, state.options.patterns)
-    is_suitable = suits and floodlit.has_light()
-    unit = radiance_unit(floodlit)
-    return FootprintModel(
-        state.camera,
-        state.projector,
-        floodlit.floodlit,
-        unit,
-        is_suitable,
-        prior=state.accepted_prior,
-    )
 
 
 class Footprints(AdaptiveMethod):
@@ -305,13 +311,18 @@ class Footprints(AdaptiveMethod):
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
         """Make the model of the floodlit picture alone."""
-        return first_model(state, floodlit)
+        return _first_model(state, floodlit)
 
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
         """Decide after a round, by its phase."""
         if phase is Phase.MODEL:
             return _after_model_round(state, is_last)
         return after_hierarchy_residual_round(state, is_last)
+
+
+def _first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
+    limit, prior = state.options.patterns, state.accepted_prior
+    return FootprintModel.of(floodlit, state.camera, state.projector, limit, prior)
 
 
 def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:

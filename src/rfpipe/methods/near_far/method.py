@@ -30,7 +30,6 @@ from rfpipe.methods.adaptive.decisions import (
 )
 from rfpipe.methods.adaptive.forecast import HierarchyCost
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
-from rfpipe.methods.adaptive.prior import denoised_floodlit, parts_of, without_indirect_light
 from rfpipe.methods.adaptive.rounds import RESIDUAL_ROUNDS, Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import LIBRARY_BYTES, Forecast, StateArrays
@@ -39,12 +38,13 @@ from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import SmoothModel, light_range, near_far_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
 from rfpipe.methods.near_far.pictures import MOST_CELLS, SplitPictures, fit_cells
+from rfpipe.methods.near_far.prior import denoised_floodlit, without_indirect_light
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, coaxial_projector
 from rfpipe.methods.states import joined, without_prefix
 from rfpipe.steps import steps
 from rfpipe.transport.base import Transport
 from rfpipe.transport.multiscale import coarsest_scale
-from rfpipe.transport.sum import SumTransport
+from rfpipe.transport.sum import SumTransport, terms_of
 
 ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 """Largest number of patterns of each round of the model. Many scenes need only the first two."""
@@ -85,13 +85,16 @@ class NearFarModel:
 
     @classmethod
     def of(
-        cls, state: AdaptiveState, floodlit: Pictures, smooth: SmoothModel | None = None
+        cls,
+        floodlit: Pictures,
+        shape: tuple[int, ...],
+        prior: Transport | None,
+        smooth: SmoothModel | None = None,
     ) -> Self:
         """Make the model of a floodlit picture, which a prior makes less noisy."""
-        prior = state.accepted_prior
         if prior is not None:
             floodlit = denoised_floodlit(floodlit, prior)
-        return cls(floodlit, state.projector.shape, smooth, prior)
+        return cls(floodlit, shape, smooth, prior)
 
     @property
     def counts(self) -> Mapping[str, int]:
@@ -136,7 +139,8 @@ class NearFarModel:
         if hierarchy is not None:
             parts = [hierarchy, *residual]
             return near_far_transport(self.shape, rows, None, self.floodlit, parts)
-        parts = [*parts_of(self.prior), *residual]
+        terms = () if self.prior is None else terms_of(self.prior)
+        parts = [*terms, *residual]
         return near_far_transport(self.shape, rows, self.smooth, self.floodlit, parts)
 
     def dark_pixels(self, lit: NDArray[np.bool_]) -> NDArray[np.bool_]:
@@ -179,7 +183,8 @@ class NearFarState(AdaptiveState):
         if level is not None:
             arrays = without_prefix("model_", level.arrays)
             smooth = SmoothModel(fit_cells(state.projector.shape), **arrays)
-        return replace(state, model=NearFarModel.of(state, state.floodlit, smooth))
+        shape, prior = state.projector.shape, state.accepted_prior
+        return replace(state, model=NearFarModel.of(state.floodlit, shape, prior, smooth))
 
 
 class NearFar(AdaptiveMethod):
@@ -218,7 +223,7 @@ class NearFar(AdaptiveMethod):
 
     def first_model(self, state: AdaptiveState, floodlit: Pictures) -> NearFarModel:
         """Make the model whose indirect light is the prior's, or 0."""
-        return NearFarModel.of(state, floodlit)
+        return NearFarModel.of(floodlit, state.projector.shape, state.accepted_prior)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Give masked pixels the radiance of the nearest known pixel: they light others, too."""
