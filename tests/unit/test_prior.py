@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.rigs.known_matrix import run as command
 
 from rfpipe import OperatorRig, acquire
 from rfpipe.config import CameraConfig
-from rfpipe.errors import InputError
+from rfpipe.errors import ConfigError, InputError
 from rfpipe.methods.adaptive.prior import pooled_estimate
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.held_out import held_out_patterns
@@ -20,6 +22,7 @@ from rfpipe.scenes import reference_scene
 from rfpipe.stages.acquire import AcquisitionResult
 from rfpipe.stages.plan import Plan
 from rfpipe.storage.files import FolderStorage
+from rfpipe.store.arrays import open_arrays
 from rfpipe.transport import Transport
 from rfpipe.transport.dense import DenseTransport
 
@@ -101,6 +104,59 @@ def test_the_prior_shows_which_method_the_rig_takes() -> None:
     assert (coaxial.method.name, aside.method.name) == ("near_far", "footprints")
     assert not coaxial.measures_symmetry
     assert Plan.of("auto", "auto", rays).measures_symmetry
+
+
+@pytest.fixture
+def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """Path of a stored transport between 6 x 8 rays, in a run's folder."""
+    monkeypatch.chdir(tmp_path)
+    dense(np.eye(48), (6, 8)).save(tmp_path / "before" / "transport.zarr")
+    return "before/transport.zarr"
+
+
+def settings_of(prior: str, method: str = "auto", **scene: object) -> str:
+    """Write the settings of a run with a prior; return their path."""
+    wedge = {"kind": "wedge", "shape": [6, 8], "channels": 1, **scene}
+    methods = {method: {"prior": prior}}
+    Path("run.yaml").write_text(json.dumps({"scenes": {"wedge": wedge}, "methods": methods}))
+    return "run.yaml"
+
+
+def test_a_plan_names_the_prior_and_counts_the_pictures_with_it(stored: str) -> None:
+    planned = " ".join(command("plan", settings_of(stored)).split())
+    assert (
+        f"wedge by auto: begins with the prior {stored}; 10 pictures if the scene is unchanged, "
+        "about 51 if the prior doesn't help."
+    ) in planned
+    described = Plan.of("auto", "auto", ((6, 8), (6, 8), 1), {"prior": stored}).describe()
+    assert described["expected_patterns"] == 4
+    assert described["prior"] == {"path": stored, "digest": open_arrays(Path(stored)).digest}
+
+
+@pytest.mark.parametrize(
+    ("path", "scene", "message"),
+    [
+        ("missing", {}, "there is no folder of a prior: 'missing'; give the folder transport.zarr"),
+        (".", {"channels": 3}, r"the prior is DenseTransport\(.* 1 channel, .*, 3 channels;"),
+        (".", {"shape": [8, 6]}, r"but the rig has camera \(8, 6\)"),
+        ("results/wedge", {}, "a result of this run, which would replace it; acquire in another"),
+        ("empty", {}, "there is no single transport in the folder of the prior: 'empty'"),
+    ],
+)  # fmt: skip
+def test_a_prior_that_cannot_be_used_is_refused_first(
+    path: str, scene: dict[str, object], message: str, stored: str
+) -> None:
+    Path("empty").mkdir()
+    dense(np.eye(48), (6, 8)).save(Path("results/wedge/auto/transport.zarr"))
+    prior = {".": stored, "results/wedge": "results/wedge/auto"}.get(path, path)
+    with pytest.raises(ConfigError, match=message) as caught:
+        command("plan", settings_of(prior, **scene))
+    assert str(caught.value).startswith("scenes.wedge: methods.auto.prior")
+
+
+def test_methods_without_a_prior_have_no_such_setting(stored: str) -> None:
+    with pytest.raises(ConfigError, match=r"methods\.symmetric\.prior"):
+        command("plan", settings_of(stored, "symmetric"))
 
 
 def test_footprints_end_with_a_prior_that_meets_the_target() -> None:

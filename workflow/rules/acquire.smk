@@ -4,6 +4,8 @@ rule acquire:
     For collections and clusters. A real rig serves one acquisition at a time; the other stages take
     a twentieth of the time of its captures (docs/performance.md).
     """
+    input:
+        prior,
     output:
         "results/{scene}/{method}/transport.json",
     log:

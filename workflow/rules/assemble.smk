@@ -2,6 +2,7 @@ rule assemble:
     """The transport of a scene, computed from all levels."""
     input:
         refined,
+        prior,
     output:
         "results/{scene}/{method}/transport.json",
     log:

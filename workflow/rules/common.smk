@@ -13,8 +13,10 @@ from rfpipe.jobs.snakemake import check_no_braces
 from rfpipe.jobs.workers import machine_memory_mb
 from rfpipe.stages.settings import (
     OPERATING_SETTINGS,
+    check_priors,
     operating_settings,
     plan_settings,
+    prior_inputs,
     rig_source_settings,
     stage_code,
     stage_settings,
@@ -32,6 +34,8 @@ SHAPING = SETTINGS.result_settings()
 
 check_no_braces("the run's folder", Path.cwd())
 check_no_braces("the workflow's folder", Path(workflow.current_basedir))
+
+check_priors(SETTINGS, Path("results"))
 
 if workflow.storage_settings.default_storage_provider:
     raise ConfigError(
@@ -132,6 +136,11 @@ def settings_of(*stages):
 def plan(wildcards):
     """Method, options and rays of an acquisition."""
     return plan_settings(SETTINGS, wildcards.scene, wildcards.method)
+
+
+def prior(wildcards):
+    """The file that changes with the transport with which an acquisition begins."""
+    return prior_inputs(SETTINGS, wildcards.scene, wildcards.method)
 
 
 def rig(wildcards):

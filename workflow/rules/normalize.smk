@@ -2,6 +2,7 @@ rule normalize:
     """The factors by which the images of a level add up to the floodlit image."""
     input:
         "results/{scene}/{method}/L{level}/merge.json",
+        prior,
     output:
         "results/{scene}/{method}/L{level}/normalize.json",
     log:

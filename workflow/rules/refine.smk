@@ -2,6 +2,7 @@ rule refine:
     """The state of the method after the images of a level."""
     input:
         "results/{scene}/{method}/L{level}/normalize.json",
+        prior,
     output:
         "results/{scene}/{method}/L{level}/refine.json",
     log:

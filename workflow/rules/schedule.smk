@@ -2,6 +2,7 @@ checkpoint schedule:
     """The patterns of a level, chosen by the state of the method; none where it is done."""
     input:
         refined_before,
+        prior,
     output:
         "results/{scene}/{method}/L{level}/schedule.json",
     log:

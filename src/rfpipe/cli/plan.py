@@ -35,12 +35,14 @@ def plan(
     verification pictures. Their number depends on the scene more than on anything that is known
     before the first picture. "half take" are the quartiles of the tuning scenes of
     docs/benchmark.md; scenes with glass, mirrors and gloss often take 4 to 11 times the expected
-    patterns. "at most" counts all rounds of the method. The log of a run updates the forecast after
-    each round. Time is that of the pictures on a rig; disk space is before compression.
+    patterns. With a prior, the numbers are those of an unchanged scene. "at most" counts all rounds
+    of the method. The log of a run updates the forecast after each round. Time is that of the
+    pictures on a rig; disk space is before compression.
     """
     from rfpipe.config import load_config, load_rig_config, read_yaml
     from rfpipe.config.files import is_rig
     from rfpipe.stages.forecast import forecast
+    from rfpipe.stages.settings import check_priors
     from rfpipe.store import files
 
     with working_in(directory, config) as path:
@@ -50,6 +52,7 @@ def plan(
             typer.echo(f"{config}: valid. The settings of {what}, for rfpipe calibrate and serve")
             return
         settings = load_config(path)
+        check_priors(settings, folder)
         count = counted(len(settings.acquisitions), "acquisition")
         jobs, reason = settings.jobs_and_reason
         typer.echo(f"{config}: valid. {count}. One job per {jobs}, {reason}\n")
@@ -61,7 +64,7 @@ def plan(
     if settings.capture.rig == "offline":
         frames, largest = rows["frames"].sum(), rows["max_frames"].sum()
         typer.echo(f"Taken by hand, these are {frames:,} photographs, at most {largest:,}.")
-    for line in scene_lines:
+    for line in [*_lines_of_priors(rows), *scene_lines]:
         typer.echo(line)
 
 
@@ -95,6 +98,16 @@ def _print_totals(rows: pd.DataFrame, free: int) -> None:
             f"memory, but this machine has {bytes_text(available)}: use another machine, fewer "
             "rays, or another method."
         )
+
+
+def _lines_of_priors(rows: pd.DataFrame) -> list[str]:
+    """Return a line on each acquisition that begins with a prior."""
+    return [
+        f"{row['scene']} by {row['method']}: begins with the prior {row['prior']}; "
+        f"{row['pictures']:,} pictures if the scene is unchanged, about "
+        f"{row['pictures_without_prior']:,} if the prior doesn't help."
+        for row in rows[rows["prior"].notna()].to_dict("records")
+    ]
 
 
 def _lines_of_scenes(settings: Config) -> list[str]:

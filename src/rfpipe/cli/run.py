@@ -153,9 +153,10 @@ def _rfpipe_snakefile() -> Path:
 
 
 def _checked(options: _Options) -> Config | None:
-    """Check folders and settings; return the settings if they are in a single file."""
+    """Check folders, settings and priors; return the settings if they are in a single file."""
     from rfpipe.config import load_config, read_yaml
     from rfpipe.jobs.snakemake import check_no_braces
+    from rfpipe.stages.settings import check_priors
 
     check_no_braces("the run's folder", options.folder.absolute())
     if not options.has_own_snakefile:
@@ -165,7 +166,9 @@ def _checked(options: _Options) -> Config | None:
     if len(options.files) != 1:
         return None
     with working_in(options.folder, Path(options.files[0])) as path:
-        return load_config(path)
+        settings = load_config(path)
+        check_priors(settings, Path("results"))
+        return settings
 
 
 def _unlock_after_kill(options: _Options) -> None:

@@ -195,6 +195,11 @@ class MethodSettings(PluginSettings):
         """Target of the estimated error; None for a method without one."""
         return None
 
+    @property
+    def prior_path(self) -> str | None:
+        """Folder of the transport with which an acquisition begins; None without one."""
+        return None
+
 
 def _with_names(sections: object) -> object:
     """Add to each method's section the section's name, unless it names a method."""

@@ -24,7 +24,7 @@ from pydantic import Field, ValidationError
 from rfpipe import plugins
 from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.config.base import Fraction, MethodSettings
+from rfpipe.config.base import Fraction, MethodSettings, Text
 from rfpipe.config.mistakes import mistake_lines
 from rfpipe.errors import InputError
 from rfpipe.patterns import Schedule
@@ -82,11 +82,21 @@ class ErrorOptions(Options):
         description="Mean error of their indirect light, on pixels without direct light, at which "
         "to stop, a fraction of that light; null: any.",
     )
+    prior: Text | None = Field(
+        None,
+        description="Folder with the transport of an earlier acquisition of this or a similar "
+        "scene by the same rig, with which to begin; null: none.",
+    )
 
     @property
     def error_target(self) -> float:
         """Target of the estimated error, `target_error`."""
         return self.target_error
+
+    @property
+    def prior_path(self) -> str | None:
+        """Folder of the transport with which an acquisition begins, `prior`."""
+        return self.prior
 
 
 class LevelImages(Protocol):

@@ -69,6 +69,7 @@ def _facts(acquisition: Acquisition, transport: Transport, levels: int) -> dict[
         # without verification, which follows the transport
         "pictures": pictures_of_levels(acquisition.storage, levels - 1).by_purpose(),
         "options": plan.options.options(),
+        **({} if plan.prior is None else {"prior": plan.prior.describe()}),
         **({"sources": dict(settings.sources)} if settings.sources else {}),
     }
 

@@ -58,12 +58,14 @@ def forecast(settings: Config) -> pd.DataFrame:
         exposures, ``frames``; the ``seconds`` of these pictures and of the warm-up, and their
         uncompressed size on ``disk`` in bytes; ``lower_pictures`` and ``upper_pictures``, between
         which half of the benchmark's tuning scenes are; ``max_patterns``, ``max_pictures``,
-        ``max_frames``, ``max_seconds`` and ``max_disk``, their upper limits; ``memory`` in bytes.
+        ``max_frames``, ``max_seconds`` and ``max_disk``, their upper limits; ``memory`` in bytes;
+        the path of the ``prior``, None without one, and ``pictures_without_prior``. With a prior
+        all numbers but the upper limits and the last one are those of an unchanged scene.
 
     Raises
     ------
     InputError
-        If a method doesn't fit a scene's rays.
+        If a method doesn't fit a scene's rays or its prior.
     """
     import pandas as pd
 
@@ -74,9 +76,7 @@ def forecast(settings: Config) -> pd.DataFrame:
     for scene, name in settings.acquisitions:
         plan = Plan.of(**plan_settings(settings, scene, name))
         scene_settings = settings.of_scene(scene)
-        expected = plan.description.forecast(
-            plan.camera, plan.projector, plan.channels, plan.options
-        )
+        expected = plan.forecast()
         largest = _costs(scene_settings, plan, expected.max_patterns, is_largest=True)
         lower, upper = (
             _costs(scene_settings, plan, patterns)["pictures"]
@@ -88,6 +88,10 @@ def forecast(settings: Config) -> pd.DataFrame:
                 **_costs(scene_settings, plan, expected.patterns),
                 "lower_pictures": lower, "upper_pictures": upper,
                 **{f"max_{key}": value for key, value in largest.items()},
+                "prior": None if plan.prior is None else plan.prior.path,
+                "pictures_without_prior": _costs(
+                    scene_settings, plan.without_prior, plan.without_prior.expected_patterns
+                )["pictures"],
                 "memory": expected.memory_bytes + settings.scenes[scene].simulation_bytes,
             }
         )  # fmt: skip

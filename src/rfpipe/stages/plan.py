@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError
 from rfpipe.methods import (
     Method,
     MethodDescription,
@@ -17,12 +16,12 @@ from rfpipe.methods import (
     options_of,
 )
 from rfpipe.methods.adaptive.prior import PATTERNS_WITH_PRIOR
-from rfpipe.methods.base import DEFAULT_TARGET, check_rays
+from rfpipe.methods.base import DEFAULT_TARGET, Forecast, check_rays
 from rfpipe.references.symmetry import is_coaxial, log_asymmetry, read_asymmetry
 from rfpipe.rigs.calibrated import was_coaxial
+from rfpipe.stages.prior import Prior, read_prior
 from rfpipe.storage.base import Storage
 from rfpipe.transport.base import Transport
-from rfpipe.transport.filling import looks_coaxial
 
 
 @dataclass(frozen=True)
@@ -46,7 +45,7 @@ class Plan:
     accepted_asymmetry : float
         Accepted error in relit pictures, relative to their norm, of treating the rig as coaxial.
         `for_measured_rig` chooses the method by it.
-    prior : Transport, optional
+    prior : Prior, optional
         Transport of an earlier acquisition with this rig.
     """
 
@@ -58,7 +57,7 @@ class Plan:
     channels: int
     options: Options
     accepted_asymmetry: float
-    prior: Transport | None = None
+    prior: Prior | None = None
 
     @classmethod
     def of(
@@ -79,31 +78,38 @@ class Plan:
         rays : (sequence of int, sequence of int, int)
             Shapes of the camera's and of the projector's `RayDomain`, and number of channels.
         options : mapping, optional
-            Options that differ from their defaults.
+            Options that differ from their defaults, among them the path of a stored prior.
         prior : Transport, optional
-            It tells whether the rig is coaxial, which isn't measured again.
+            A prior in memory. A prior shows whether the rig is coaxial, which isn't measured again.
 
         Raises
         ------
         InputError
-            If the method has no such option, or doesn't fit the rays or the prior.
+            If the method has no such option, or doesn't fit the rays or the prior, or if there is
+            no transport at the prior's path.
+        StoreError
+            If the stored prior is damaged, or a later version of rfpipe wrote it.
         """
         description = get_method(method)
         camera_shape, projector_shape, channels = rays
         camera, projector = RayDomain(tuple(camera_shape)), RayDomain(tuple(projector_shape))
         check_rays(description, camera, projector)
-        if prior is not None:
-            _check_prior(prior, description, (camera.shape, projector.shape, channels))
+        checked = options_of(description, **(options or {}))
+        used = None if prior is None else Prior(prior)
+        if used is None and checked.prior_path is not None:
+            used = read_prior(checked.prior_path)
+        if used is not None:
+            used.check(description, (camera.shape, projector.shape, channels))
         return cls(
             name,
             description,
-            description.for_rig(camera, projector, None if prior is None else looks_coaxial(prior)),
+            description.for_rig(camera, projector, None if used is None else used.is_coaxial),
             camera,
             projector,
             channels,
-            options_of(description, **(options or {})),
+            checked,
             accepted_asymmetry,
-            prior,
+            used,
         )
 
     @property
@@ -121,17 +127,27 @@ class Plan:
     @property
     def expected_patterns(self) -> int:
         """Number of patterns that the method is expected to show."""
-        if self.prior is not None:
-            return PATTERNS_WITH_PRIOR
+        return self.forecast().patterns
+
+    def forecast(self) -> Forecast:
+        """Forecast the acquisition; with a prior, that of an unchanged scene."""
         forecast = self.description.forecast(
             self.camera, self.projector, self.channels, self.options
         )
-        return forecast.patterns
+        if self.prior is None:
+            return forecast
+        patterns = min(PATTERNS_WITH_PRIOR, forecast.max_patterns)
+        return replace(forecast, patterns=patterns, quartiles=None)
+
+    @property
+    def without_prior(self) -> Plan:
+        """The plan without its prior, which a scene that changed much follows."""
+        return replace(self, prior=None)
 
     def start(self) -> Any:
         """Return the method's state before level 0."""
         state = self.method.start(self.camera, self.projector, self.channels, self.options)
-        return state if self.prior is None else replace(state, prior=self.prior)
+        return state if self.prior is None else replace(state, prior=self.prior.transport)
 
     def restored_state(self, storage: Storage, level: int) -> Any:
         """Read the method's state before a level; large arrays are read when first used.
@@ -172,8 +188,12 @@ class Plan:
         return replace(self, method=method)
 
     def describe(self) -> dict[str, Any]:
-        """Describe the plan as plain data, for fingerprints."""
-        return {
+        """Describe the plan as plain data, for fingerprints.
+
+        With a prior, the description has its path and digest, and the number of patterns that an
+        unchanged scene takes.
+        """
+        described = {
             "name": self.name,
             "method": self.method.name,
             "camera_shape": list(self.camera.shape),
@@ -181,26 +201,9 @@ class Plan:
             "channels": self.channels,
             "options": self.options.options(),
         }
-
-
-def _check_prior(
-    prior: Transport,
-    description: MethodDescription,
-    rays: tuple[tuple[int, ...], tuple[int, ...], int],
-) -> None:
-    """Raise InputError for a prior of another rig, or a method that can't use one."""
-    if not description.uses_prior:
-        raise InputError(
-            f"{description.title.lower()} can't begin with a prior; use auto, near_far or "
-            "footprints, or leave prior out"
-        )
-    if (prior.camera_shape, prior.projector_shape, prior.channels) != rays:
-        raise InputError(
-            f"the prior is {prior}, but the rig has camera {rays[0]}, projector {rays[1]}, "
-            f"{rays[2]} channels; a prior is a transport of the same rig"
-        )
-    if description.needs_coaxial_rig and not looks_coaxial(prior):
-        raise InputError(
-            f"the prior isn't symmetric, but {description.title.lower()} needs a coaxial rig; use "
-            "auto or footprints"
-        )
+        if self.prior is not None:
+            described |= {
+                "prior": self.prior.describe(),
+                "expected_patterns": self.expected_patterns,
+            }
+        return described

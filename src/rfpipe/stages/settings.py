@@ -4,12 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rfpipe.config.capture import WatchMode
+from rfpipe.errors import ConfigError, InputError, StoreError
 from rfpipe.plugins import METHODS, SCENES, is_of_rfpipe, sources_of
 from rfpipe.provenance import code_digest, source_digest
 from rfpipe.stages.plan import Plan
+from rfpipe.stages.prior import prior_file
 from rfpipe.storage.base import WhenChanged
 from rfpipe.units import SYMMETRY_BRACKETS, NormalizationMode, NumberFormat
 
@@ -198,6 +201,41 @@ def plan_settings(config: Config, scene: str, name: str) -> dict[str, Any]:
         "options": section.options(),
         "accepted_asymmetry": config.of_scene(scene).capture.asymmetry,
     }
+
+
+def prior_inputs(config: Config, scene: str, name: str) -> list[str]:
+    """Return the file that changes with the prior of an acquisition; no file without a prior.
+
+    InputError if there is no such prior.
+    """
+    path = config.methods_of(scene)[name].prior_path
+    return [] if path is None else [str(prior_file(path))]
+
+
+def check_priors(config: Config, results: Path) -> None:
+    """Check the priors of all acquisitions of a run.
+
+    Raises
+    ------
+    ConfigError
+        For a prior that doesn't exist, can't be read, is of another rig, or is a result of this
+        run. The message names scene, method and path.
+    """
+    own = {(results / scene / name).resolve() for scene, name in config.acquisitions}
+    for scene, name in config.acquisitions:
+        path = config.methods_of(scene)[name].prior_path
+        if path is None:
+            continue
+        setting = f"scenes.{scene}: methods.{name}.prior"
+        if own & {Path(path).resolve(), *Path(path).resolve().parents}:
+            raise ConfigError(
+                f"{setting} is {path!r}, a result of this run, which would replace it; acquire in "
+                "another folder (rfpipe run --directory), or copy the prior to another folder"
+            )
+        try:
+            Plan.of(**plan_settings(config, scene, name))
+        except (InputError, StoreError) as error:
+            raise ConfigError(f"{setting}: {error}") from error
 
 
 def rig_source_settings(config: Config, scene: str) -> dict[str, Any]:
