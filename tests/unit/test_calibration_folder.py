@@ -22,6 +22,8 @@ from rfpipe.rigs.calibrated import load_calibration as load
 from rfpipe.rigs.faults import CALIBRATION
 from rfpipe.store import write_arrays
 
+pytestmark = pytest.mark.usefixtures("quick_fonts")
+
 RAYS = (16, 16)
 SETTINGS = CalibrationConfig(dark_frames=4, levels=6, codes=17, symmetry_patterns=6, tolerance=0.03)
 

@@ -12,6 +12,8 @@ from rfpipe.transport import save_transport
 from rfpipe.transport.base import HISTORY_COLUMNS, estimates
 from rfpipe.transport.dense import DenseTransport
 
+pytestmark = pytest.mark.usefixtures("quick_fonts")
+
 LOW_RANK = "benchmarks.rivals.low_rank:LowRank"
 ROWS = [
     {"level": 0, "patterns": 1},

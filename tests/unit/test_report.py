@@ -32,6 +32,8 @@ from rfpipe.storage.results import write_result
 from rfpipe.store import open_arrays, read_manifest, write_arrays, write_manifest
 from rfpipe.transport.dense import DenseTransport
 
+pytestmark = pytest.mark.usefixtures("quick_fonts")
+
 
 def built(folder, config):
     """Write the report of a results folder and return the parts of its page."""
@@ -45,7 +47,7 @@ def stems(folder, kind="figures/*.png"):
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
+def results(tmp_path_factory, quick_fonts):
     folder = tmp_path_factory.mktemp("both") / "results"
     acquired(folder, BOTH)
     benchmarked(folder, BOTH.scenes, BOTH.methods)
@@ -331,7 +333,9 @@ def test_a_rig_that_is_not_coaxial_has_pictures_and_no_unlit_pixels(tmp_path):
     assert "mean_indirect" not in result
     grain = {"whole": 0.003, "unlit": 0.052}
     result["recorded"] = {"grain": grain, "versions": {"drjit": "1.5.0"}}
-    captured(tmp_path, arrays, result)
+    choice = {"setting": "caustics", "value": True, "reason": "by ball (SmoothDielectric)"}
+    light = {"choices": [choice], "omissions": ["light that ball throws is missing"]}
+    captured(tmp_path, arrays, {**result, "light": light})
     errors = pd.read_csv(tables_of(tmp_path)[0])
     # smaller for a picture whose lit pixels reflect little
     assert errors["error"].between(0.005, 0.01001).all()
@@ -345,6 +349,12 @@ def test_a_rig_that_is_not_coaxial_has_pictures_and_no_unlit_pixels(tmp_path):
     assert "recording" in table.rows[0]
     assert "desk 0.30 % (5.20 % on unlit pixels)" in table.caption
     assert "drjit 1.5.0" in page.words.replace("  ", " ")
+    # choices of the scene and omitted light
+    assert "desk: light that ball throws is missing." in page.words
+    for cell in ("caustics", "true", choice["reason"]):
+        assert f" {cell} " in page.words
+    summary = json.loads((tmp_path / "report" / "results.json").read_text())
+    assert summary["provenance"]["acquisitions"][0]["light"] == light
 
 
 def test_a_scene_without_truth_is_shown_without_error(tmp_path):
@@ -359,22 +369,6 @@ def test_a_scene_without_truth_is_shown_without_error(tmp_path):
     assert "the true light transport of a real scene is unknown" in page.words
     # levels without patterns are omitted
     assert pd.read_csv(tmp_path / "report/tables/levels.csv")["level"].tolist() == [0]
-
-
-def test_the_report_lists_choices_of_scenes_and_omitted_light(tmp_path):
-    choice = {"setting": "caustics", "value": True, "reason": "by ball (SmoothDielectric)"}
-    light = {"choices": [choice], "omissions": ["light that ball throws is missing"]}
-    arrays = relight.relit_arrays(aside_transport(), Aside())
-    errors = relight.mean_errors(
-        aside_transport(), Aside(), arrays["floodlit_truth"], is_coaxial=False
-    )
-    captured(tmp_path, arrays, {**errors, "light": light})
-    page = built(tmp_path, ASIDE)
-    assert "desk: light that ball throws is missing." in page.words
-    for cell in ("caustics", "true", choice["reason"]):
-        assert f" {cell} " in page.words
-    summary = json.loads((tmp_path / "report" / "results.json").read_text())
-    assert summary["provenance"]["acquisitions"][0]["light"] == light
 
 
 def test_without_anything_relit_there_is_no_report(tmp_path):

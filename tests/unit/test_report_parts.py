@@ -378,6 +378,7 @@ def test_figures_are_also_vectors_of_the_same_bytes(tmp_path: Path) -> None:
         assert 'href="figures/curve.pdf"' in page.read_text("utf-8")
     first, second = (tmp_path / name / "figures/curve.pdf" for name in ("one", "two"))
     assert first.read_bytes().startswith(b"%PDF")
+    assert b"/FontFile2" in first.read_bytes()  # an embedded TrueType font
     assert first.read_bytes() == second.read_bytes()
 
 

@@ -233,6 +233,10 @@ def _png(figure: Figure) -> bytes:
     return buffer.getvalue()
 
 
+# TrueType fonts: accepted by publishers, searchable
+_PDF_STYLE: Any = {"pdf.fonttype": 42}
+
+
 def pdf_of(figure: Figure) -> bytes:
     """Return a figure as PDF: lines and text as vectors, pictures as pixels."""
     from matplotlib import rc_context
@@ -241,8 +245,7 @@ def pdf_of(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     metadata = {"Creator": None, "Producer": None, "CreationDate": None}
     canvas: Any = FigureCanvasPdf(figure)
-    fonts: Any = {"pdf.fonttype": 42}  # TrueType fonts: accepted by publishers, searchable
-    with rc_context(fonts), _resolution(figure, _PRINT_DPI):
+    with rc_context(_PDF_STYLE), _resolution(figure, _PRINT_DPI):
         canvas.print_pdf(buffer, metadata=metadata)
     return buffer.getvalue()
 
