@@ -1,0 +1,1 @@
+"""Multiplexed dual photography, see `rfpipe.methods.multiplexed.method`."""
