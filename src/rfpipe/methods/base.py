@@ -304,16 +304,6 @@ class Method(MethodDescription, ABC, Generic[S]):
         """Forecast the number of patterns of all further levels; None if it isn't known."""
         return None
 
-    def transport_of_unlit_rays(self, state: S) -> Transport:
-        """Return the transport that predicts the light of rays that the next level leaves unlit.
-
-        It differs from `transport` for methods with several models. For example, `near_far` returns
-        the model that predicts the held-out pictures best; but while it refines a hierarchical
-        tensor, the next level leaves rays of the tensor's leaves unlit, and the tensor predicts
-        their light.
-        """
-        return self.transport(state)
-
 
 def check_rays(method: MethodDescription, camera: RayDomain, projector: RayDomain) -> None:
     """Raise InputError if a method needs a coaxial rig and the ray domains differ."""

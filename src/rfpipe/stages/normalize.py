@@ -54,7 +54,7 @@ def light_of_unlit_rays(method: Method[Any], state: Any, schedule: Schedule) -> 
     """
     if schedule.complete or schedule.pattern_of_ray is None:
         return None
-    return method.transport_of_unlit_rays(state).relight(schedule.pattern_of_ray < 0)
+    return method.transport(state).relight(schedule.pattern_of_ray < 0)
 
 
 def normalize_level(

@@ -12,8 +12,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from rfpipe.methods.adaptive.forecast import (
-    HierarchyCost,
     error_power,
+    hierarchy_patterns,
     patterns_to_target,
     target_of,
 )
@@ -84,10 +84,9 @@ def is_nearly_met(state: AdaptiveState) -> bool:
     return state.excess[-1] <= NEARLY
 
 
-def exceeds_hierarchy(state: AdaptiveState, cost: HierarchyCost) -> bool:
+def exceeds_hierarchy(state: AdaptiveState) -> bool:
     """Test whether the target takes more patterns by further rounds than by a hierarchy."""
-    target = target_of(state.options)
-    return patterns_to_target(state) > cost.expected_patterns(state.projector, target)
+    return patterns_to_target(state) > hierarchy_patterns(state.projector, target_of(state.options))
 
 
 def end(state: AdaptiveState) -> Decision | None:
@@ -99,11 +98,9 @@ def end(state: AdaptiveState) -> Decision | None:
     return None
 
 
-def after_round_before_hierarchy(
-    state: AdaptiveState, phase: Phase, cost: HierarchyCost, *, is_last: bool
-) -> Decision:
+def after_round_before_hierarchy(state: AdaptiveState, phase: Phase, *, is_last: bool) -> Decision:
     """Decide after a round of a phase that only the hierarchy can follow."""
-    if not is_last and not exceeds_hierarchy(state, cost):
+    if not is_last and not exceeds_hierarchy(state):
         return Decision(phase)
     if is_nearly_met(state):
         return Decision(None, CLOSE)
@@ -112,10 +109,14 @@ def after_round_before_hierarchy(
     return Decision(None, ALL_SHOWN) if is_last else Decision(phase)
 
 
-def after_hierarchy_residual_round(state: AdaptiveState, is_last: bool) -> Decision:
-    """Decide after a round for the hierarchy's residual; only brute force would remain."""
-    if is_last:
+def after_hierarchy_round(state: AdaptiveState) -> Decision:
+    """Decide after a round of the hierarchy; only brute force would remain."""
+    inner = state.hierarchy_state
+    assert inner is not None
+    if inner.is_complete:
         return Decision(None, ALL_SHOWN)
-    if patterns_to_target(state) > state.projector.size:
+    # rounds of single rays follow those of the coarser levels; three errors show how they fall
+    has_trend = len(state.hierarchy_levels) >= len(inner.levels) + 2
+    if has_trend and patterns_to_target(state) > state.projector.size:
         return Decision(None, "more rounds would take more patterns than brute force")
-    return Decision(Phase.HIERARCHY_RESIDUAL)
+    return Decision(Phase.HIERARCHY)

@@ -17,22 +17,23 @@ takes
     n = n_1 (e_1 / t)^(1 / p)
 
 From the second round on, ``p`` is measured: ``p = log(e_0 / e_1) / log(n_1 / n_0)``
-(`patterns_to_target`). Where a hierarchy follows, or would take fewer patterns, `HierarchyCost` has
-their number.
+(`patterns_to_target`). Where a hierarchy follows, or would take fewer patterns,
+`hierarchy_patterns` is their number.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.held_out import HELD_OUT
+from rfpipe.methods.multiplexed.blocks import BlockLevels
+from rfpipe.methods.multiplexed.method import coarse_pattern_count
 
 
 class PatternLaw(NamedTuple):
@@ -75,41 +76,16 @@ after the second, are within a factor of 1.5; on the test scenes 8 of 13 and 6 o
 INDIRECT_RATIO = 6.0
 """Typical error of indirect light over the total error."""
 
-# Largest number of patterns of a hierarchy, over the number that its `HierarchyCost` expects.
+HIERARCHY_RAYS = PatternLaw(48.0, 0.8)
+"""Patterns of single rays of the hierarchy, below its coarser levels, by target error."""
+
+# Largest number of patterns of a hierarchy, over the expected number.
 _HIERARCHY_MARGIN = 4.0
 
 
-@dataclass(frozen=True)
-class HierarchyCost:
-    """Cost and accuracy of the hierarchy: symmetric or dual photography, down the block tree.
-
-    Attributes
-    ----------
-    patterns, power : float
-        Patterns per level of the block tree for an error of 1 %, and the power of 1 / error by
-        which they grow.
-    tolerance : float
-        The hierarchy's tolerance, relative to the target error.
-    """
-
-    patterns: float
-    power: float
-    tolerance: float
-
-    def expected_patterns(self, projector: RayDomain, target: float) -> float:
-        """Compute the expected number of patterns for a total error."""
-        depth = BlockTree(projector).n_levels
-        return float(self.patterns * depth * (0.01 / target) ** self.power)
-
-    def most_patterns(self, projector: RayDomain, target: float) -> int:
-        """Bound the number of patterns below the floodlit one.
-
-        A hierarchy shows each block of each level at most once, and hardly more than 4 times the
-        expected number of patterns.
-        """
-        tree = BlockTree(projector)
-        blocks = sum(tree.n_blocks(level) for level in range(1, tree.n_levels))
-        return min(blocks, round(_HIERARCHY_MARGIN * self.expected_patterns(projector, target)))
+def hierarchy_patterns(projector: RayDomain, target: float) -> float:
+    """Compute the expected number of patterns of a hierarchy for a total error."""
+    return coarse_pattern_count(BlockLevels(projector)) + HIERARCHY_RAYS.at(1, target)
 
 
 def target_of(options: ErrorOptions) -> float:
@@ -118,9 +94,7 @@ def target_of(options: ErrorOptions) -> float:
     return float(min(options.target_error, indirect / INDIRECT_RATIO))
 
 
-def most_patterns(
-    projector: RayDomain, random_patterns: int, cost: HierarchyCost, options: ErrorOptions
-) -> int:
+def most_patterns(projector: RayDomain, random_patterns: int, options: ErrorOptions) -> int:
     """Bound the number of patterns of all phases.
 
     Parameters
@@ -128,11 +102,10 @@ def most_patterns(
     projector : RayDomain
     random_patterns : int
         Largest number of random patterns of all rounds.
-    cost : HierarchyCost
-        Cost of the hierarchy that may follow.
     options : ErrorOptions
     """
-    hierarchy = cost.most_patterns(projector, target_of(options))
+    expected = _HIERARCHY_MARGIN * hierarchy_patterns(projector, target_of(options))
+    hierarchy = min(round(expected), projector.size)
     total = 1 + len(HELD_OUT) + random_patterns + hierarchy
     return min(total, options.patterns or total)
 
@@ -163,21 +136,19 @@ def patterns_to_target(state: AdaptiveState) -> float:
     return float(state.patterns_shown * (excess[-1] ** (1 / power) - 1))
 
 
-def remaining_patterns(state: AdaptiveState, cost: HierarchyCost) -> int:
+def remaining_patterns(state: AdaptiveState) -> int:
     """Forecast the number of patterns that an acquisition still shows, after a round.
 
     Parameters
     ----------
     state : AdaptiveState
         State whose next round is chosen.
-    cost : HierarchyCost
-        Cost of the hierarchy that may follow.
     """
     coming, shown = state.next_round, state.patterns_shown
     if coming is None:
         return 0
     target = target_of(state.options)
-    hierarchy = cost.expected_patterns(state.projector, target)
+    hierarchy = hierarchy_patterns(state.projector, target)
     if coming.phase is Phase.HIERARCHY:
         of_hierarchy = sum(state.rows[level]["patterns"] for level in state.hierarchy_levels)
         remaining = hierarchy - of_hierarchy
@@ -185,8 +156,7 @@ def remaining_patterns(state: AdaptiveState, cost: HierarchyCost) -> int:
         remaining = EXPECTED.at(state.projector.views, target) - shown
     else:
         typical = shown * (state.excess[-1] ** (1 / TYPICAL_POWER) - 1)
-        may_follow = state.allows_hierarchy and coming.phase is not Phase.HIERARCHY_RESIDUAL
-        largest = hierarchy if may_follow else state.projector.size
+        largest = hierarchy if state.allows_hierarchy else state.projector.size
         remaining = min(max(typical, patterns_to_target(state)), largest)
     limit = state.options.patterns - shown if state.options.patterns else np.inf
     return round(float(min(max(remaining, coming.held_out + coming.count, 1), limit)))

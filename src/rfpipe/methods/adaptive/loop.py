@@ -7,9 +7,8 @@ acquisition passes through phases, each of several rounds and each of which it m
     prior               three held-out pictures, which judge a transport of an earlier acquisition
     model               random patterns; the model is fitted to all pictures so far
     residual            random blocks; the residual of the model is fitted
-    hierarchy           symmetric or dual photography, for light that no model describes; a round
-                        shows one level of the block tree
-    hierarchy residual  random blocks; the residual of the hierarchy is fitted
+    hierarchy           multiplexed dual photography, for light that no model describes; a round
+                        shows one level of the block tree, or more patterns of single rays
 
 With the first round of the model six held-out pictures are taken, or three more after a prior.
 After each round the transport that predicts them best is the current result, and its error on them
@@ -32,13 +31,13 @@ from rfpipe.methods.adaptive.decisions import (
     ALL_SHOWN,
     LIMIT_REACHED,
     Decision,
+    after_hierarchy_round,
     end,
 )
 from rfpipe.methods.adaptive.forecast import (
     EXPECTED,
     LOWER_QUARTILE,
     UPPER_QUARTILE,
-    HierarchyCost,
     most_patterns,
     remaining_patterns,
     target_of,
@@ -47,6 +46,7 @@ from rfpipe.methods.adaptive.model import AdaptiveModel
 from rfpipe.methods.adaptive.prior import USEFUL_PRIOR, pooled_estimate
 from rfpipe.methods.adaptive.rounds import Rounds, next_round, random_pattern_count
 from rfpipe.methods.adaptive.state import (
+    HIERARCHY_METHOD,
     STOPPING_FRACTION,
     AdaptiveState,
     Phase,
@@ -59,7 +59,6 @@ from rfpipe.methods.base import (
     LevelImages,
     Method,
     check_rays,
-    get_method,
 )
 from rfpipe.methods.error_estimate import Estimate, estimate_error
 from rfpipe.methods.held_out import held_out_patterns
@@ -80,11 +79,10 @@ _RESIDUAL_ROUND, _RESIDUAL_GAIN = 1, 0.95
 
 
 class Candidate(NamedTuple):
-    """A transport that may be returned, its estimated error, and whether it is the hierarchy's."""
+    """A transport that may be returned, and its estimated error."""
 
     estimate: Estimate
     transport: Transport
-    is_hierarchy: bool
 
 
 class AdaptiveMethod(Method[AdaptiveState]):
@@ -93,8 +91,6 @@ class AdaptiveMethod(Method[AdaptiveState]):
     Attributes
     ----------
     State : type of AdaptiveState
-    hierarchy_cost : HierarchyCost
-        Cost of the hierarchy, which is acquired by `State.hierarchy_method`.
     residual_is_optional : bool
         If True, the residual of a model is fitted in the second round, and dropped unless it
         reduces the error by 5 %. Otherwise it is fitted after each round, and used if it reduces
@@ -106,7 +102,6 @@ class AdaptiveMethod(Method[AdaptiveState]):
     Options = ErrorOptions
     trades = "target_error"
     State: ClassVar[type[AdaptiveState]]
-    hierarchy_cost: ClassVar[HierarchyCost]
     residual_is_optional: ClassVar[bool]
 
     @abstractmethod
@@ -141,7 +136,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if coming.phase is Phase.FLOODLIT:
             return Schedule.floodlit(shape)
         if coming.phase is Phase.HIERARCHY:
-            schedule = self._hierarchy(state).next_schedule(state.hierarchy_state)
+            assert state.hierarchy_state is not None
+            schedule = HIERARCHY_METHOD.next_schedule(state.hierarchy_state)
             return None if schedule is None else replace(schedule, seed=coming.key)
         if coming.phase is Phase.MODEL:
             patterns = self._model(state).next_patterns(coming.key, coming.count)
@@ -186,16 +182,6 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if state.residual is None and state.hierarchy_state is None:
             return self._model(state).transport(list(state.rows))  # the only one
         return self._best(state).transport
-
-    def transport_of_unlit_rays(self, state: AdaptiveState) -> Transport:
-        """Return the transport that predicts the light of rays that the next level leaves unlit.
-
-        While the hierarchy is refined it is the hierarchy's transport, whatever its error, since
-        the hierarchy itself chooses the rays that its next level leaves unlit.
-        """
-        if state.next_round is None or state.next_round.phase is not Phase.HIERARCHY:
-            return self.transport(state)
-        return self._hierarchy(state).transport(state.hierarchy_state)
 
     # --- rounds
 
@@ -249,7 +235,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         return (after, best) if is_useful or not self.residual_is_optional else (state, base)
 
     def _fit_residual(self, state: AdaptiveState) -> tuple[AdaptiveState, Candidate]:
-        """Fit the residual of the better of model and hierarchy, unless it meets the target."""
+        """Fit the residual of the model, unless the model meets the target."""
         base = self._best_without_residual(state)
         if not state.with_estimate(base.estimate).meets_target:
             state = self._with_residual_of(state, base)
@@ -260,23 +246,13 @@ class AdaptiveMethod(Method[AdaptiveState]):
         camera, pictures = _camera_cells(state), state.cell_pictures
         assert pictures is not None, "the floodlit picture comes first"
         projector = self._model(state).projector_cells(camera, base.transport)
-        # the residual of the same transport, if there is one, is fitted to fewer pictures
-        previous = state.residual if state.residual_of_hierarchy == base.is_hierarchy else None
-        residual = fit_residual(camera, projector, pictures, base.transport, previous)
-        return replace(state, residual=residual, residual_of_hierarchy=base.is_hierarchy)
+        residual = fit_residual(camera, projector, pictures, base.transport, state.residual)
+        return replace(state, residual=residual)
 
     # --- the hierarchy
 
-    def _hierarchy(self, state: AdaptiveState) -> Method[Any]:
-        method = get_method(state.hierarchy_method)
-        assert isinstance(method, Method)
-        return method
-
     def _start_hierarchy(self, state: AdaptiveState) -> AdaptiveState:
         """Hand the floodlit picture over to the hierarchy."""
-        state = replace(
-            state, hierarchy_tolerance=self.hierarchy_cost.tolerance * target_of(state.options)
-        )
         pictures, shape = _floodlit(state), (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(images[0].T).reshape(shape)
@@ -284,27 +260,22 @@ class AdaptiveMethod(Method[AdaptiveState]):
         )
         schedule = Schedule.floodlit(state.projector.shape)
         floodlit = ScheduledImages(schedule, lambda *_: (radiance, variance))
-        inner = self._hierarchy(state).refine(hierarchy_start(state), floodlit)
+        inner = HIERARCHY_METHOD.refine(hierarchy_start(state), floodlit)
         return replace(state, hierarchy_state=inner)
 
     def _after_hierarchy_level(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int
     ) -> AdaptiveState:
-        """Refine the hierarchy; after its last level, fit its residual."""
-        inner = self._hierarchy(state).refine(state.hierarchy_state, images, memory_bytes)
+        """Refine the hierarchy."""
+        assert state.hierarchy_state is not None
+        inner = HIERARCHY_METHOD.refine(state.hierarchy_state, images, memory_bytes)
         levels = (*state.hierarchy_levels, state.level)
-        rows = [*state.rows, level_row(state.level, images.schedule.count)]
-        # a level may change the row of the level before
-        changed = min(len(levels), 2)
-        for row, level in zip(inner.rows[-changed:], levels[-changed:], strict=True):
-            rows[level] = {**rows[level], **row, "level": level}
-        after = replace(state, rows=tuple(rows), hierarchy_state=inner, hierarchy_levels=levels)
-        after = after.with_cell_pictures(_camera_cells(state).read(images))
-        is_complete = not len(inner.frontier)
-        after, best = self._fit_residual(after) if is_complete else (after, self._best(after))
-        after = after.with_estimate(best.estimate)
-        phase = Phase.HIERARCHY_RESIDUAL if is_complete else Phase.HIERARCHY
-        return self._continue(after, end(after) or Decision(phase))
+        row = {**inner.rows[-1], "level": state.level}
+        after = replace(
+            state, rows=(*state.rows, row), hierarchy_state=inner, hierarchy_levels=levels
+        )
+        after = after.with_estimate(self._best(after).estimate)
+        return self._continue(after, end(after) or after_hierarchy_round(after))
 
     # --- the best transport
 
@@ -324,33 +295,27 @@ class AdaptiveMethod(Method[AdaptiveState]):
         base = self._best_without_residual(state) if base is None else base
         if state.residual is None:
             return base
-        rows, hierarchy = list(state.rows), None
         residual = state.residual.transport(_camera_cells(state), state.projector.shape)
-        if state.residual_of_hierarchy:
-            hierarchy = self._hierarchy(state).transport(state.hierarchy_state)
-        transport = self._model(state).transport(rows, [residual], hierarchy)
-        return min(base, self._candidate(state, transport, hierarchy is not None), key=_error)
+        transport = self._model(state).transport(list(state.rows), [residual])
+        return min(base, self._candidate(state, transport), key=_error)
 
     def _best_without_residual(self, state: AdaptiveState) -> Candidate:
         """Return the better of the model and the hierarchy, each without a residual."""
         rows = list(state.rows)
-        model = self._candidate(state, self._model(state).transport(rows), is_hierarchy=False)
+        model = self._candidate(state, self._model(state).transport(rows))
         if state.hierarchy_state is None:
             return model
-        hierarchy = self._hierarchy(state).transport(state.hierarchy_state)
-        transport = SumTransport([hierarchy], rows)
-        return min(model, self._candidate(state, transport, is_hierarchy=True), key=_error)
+        transport = SumTransport([HIERARCHY_METHOD.transport(state.hierarchy_state)], rows)
+        return min(model, self._candidate(state, transport), key=_error)
 
-    def _candidate(
-        self, state: AdaptiveState, transport: Transport, is_hierarchy: bool
-    ) -> Candidate:
+    def _candidate(self, state: AdaptiveState, transport: Transport) -> Candidate:
         """Estimate the error of a transport; it is 1 before the held-out pictures are taken."""
         if state.held_out is None:
-            return Candidate(Estimate(1.0, 1.0, 1.0), transport, is_hierarchy)
+            return Candidate(Estimate(1.0, 1.0, 1.0), transport)
         dark = self._model(state).dark_pixels(state.held_out.lit)
         floodlit = _floodlit(state).floodlit
         estimate = estimate_error(transport, state.held_out, floodlit, dark)
-        return Candidate(estimate, transport, is_hierarchy)
+        return Candidate(estimate, transport)
 
     # --- the next round
 
@@ -358,8 +323,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Choose the next round; log, and note in the table of levels, the reason of an end."""
         phase = decision.phase
         if phase is Phase.HIERARCHY and state.hierarchy_state is None:
-            title = self._hierarchy(state).title.lower()
-            _log.info("%s; continuing with %s", decision.reason, title)
+            _log.info("%s; continuing with %s", decision.reason, HIERARCHY_METHOD.title.lower())
             state = self._start_hierarchy(state)
         elif phase is not None and decision.reason:
             _log.info("%s; continuing with random blocks", decision.reason)
@@ -385,7 +349,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Forecast the patterns from the target error, see `rfpipe.methods.adaptive.forecast`."""
         check_rays(self, camera, projector)
         random_patterns = random_pattern_count(self.rounds(projector))
-        largest = most_patterns(projector, random_patterns, self.hierarchy_cost, options)
+        largest = most_patterns(projector, random_patterns, options)
         lower, patterns, upper = (
             min(round(law.at(projector.views, target_of(options))), projector.size, largest)
             for law in (LOWER_QUARTILE, EXPECTED, UPPER_QUARTILE)
@@ -395,7 +359,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def remaining_patterns(self, state: AdaptiveState) -> int:
         """Forecast the number of patterns that the target still takes."""
-        return remaining_patterns(state, self.hierarchy_cost)
+        return remaining_patterns(state)
 
 
 def _error(candidate: Candidate) -> float:
@@ -413,7 +377,6 @@ def _with_estimate_of(
         state,
         model=previous.model,
         residual=previous.residual,
-        residual_of_hierarchy=previous.residual_of_hierarchy,
     )
     return state.with_estimate(previous.estimates[-1])
 

@@ -42,7 +42,6 @@ class AdaptiveModel(Protocol):
         self,
         rows: list[dict[str, Any]],
         residual: Sequence[Transport] = (),
-        hierarchy: Transport | None = None,
     ) -> SumTransport:
         """Assemble the transport.
 
@@ -52,8 +51,6 @@ class AdaptiveModel(Protocol):
             The transport's table of levels.
         residual : sequence of Transport
             Further parts.
-        hierarchy : Transport, optional
-            Replaces the fitted part of the model.
         """
 
     def dark_pixels(self, lit: Bools) -> Bools:

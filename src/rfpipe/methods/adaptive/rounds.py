@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
-from rfpipe.blocks import BlockTree, RayDomain
+from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import next_pattern_count
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, Round
 from rfpipe.methods.held_out import HELD_OUT, HELD_OUT_OF_PRIOR
+from rfpipe.methods.multiplexed.blocks import BlockLevels
 
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
 """Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
+
+HIERARCHY_RAY_ROUNDS = 16
+"""Largest number of further rounds of single rays in a hierarchy: more than any has, since each
+takes half as many patterns as all before it."""
 
 Rounds = dict[Phase, tuple[int, ...]]
 """Largest number of random patterns of each round, for each phase after the floodlit one."""
 
 
 def hierarchy_rounds(projector: RayDomain) -> Rounds:
-    """Return the rounds of a hierarchy below its floodlit level, and of its residual."""
-    levels = BlockTree(projector).n_levels - 1
+    """Return the rounds of a hierarchy, which chooses their patterns, and of a prior."""
     return {
-        Phase.HIERARCHY: (0,) * levels,
-        Phase.HIERARCHY_RESIDUAL: RESIDUAL_ROUNDS,
+        Phase.HIERARCHY: (0,) * (len(BlockLevels(projector)) + HIERARCHY_RAY_ROUNDS),
         # last, so that a prior doesn't change the random patterns of other phases
         Phase.PRIOR: (0,),
     }
@@ -53,8 +56,7 @@ def next_round(
     before = sum(len(rounds[earlier]) for earlier in phases[: phases.index(phase)])
     key = 1 + before + index
     if phase is Phase.HIERARCHY:
-        is_complete = not len(state.hierarchy_state.frontier)
-        return None if is_complete else Round(phase, index, key)
+        return Round(phase, index, key)
     largest_count = rounds[phase][index]
     is_useful = largest_count > 0 and (phase is not Phase.MODEL or is_suitable)
     count = next_pattern_count(state, largest_count) if is_useful else 0

@@ -11,9 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.methods.adaptive.model import AdaptiveModel
-from rfpipe.methods.base import ErrorOptions, Method, StateArrays, get_method, options_of
+from rfpipe.methods.base import ErrorOptions, StateArrays, options_of
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.multiplexed.method import Multiplexed, MultiplexedOptions, MultiplexedState
 from rfpipe.methods.residual.model import CellPictures, Residual
 from rfpipe.methods.states import MethodState, joined, with_prefix, without_prefix
 from rfpipe.transport.base import Transport
@@ -26,7 +27,11 @@ deviation of 15 % from 32 x 36 pixels on and of 20 % on smaller images. With thi
 results have an error of at most 1.2 times the target.
 """
 
-_PLAIN = ("residual_of_hierarchy", "hierarchy_tolerance", "prior_is_refuted")
+HIERARCHY_METHOD = Multiplexed()
+"""Method of the hierarchy."""
+
+# Tolerance of the hierarchy, relative to the target error.
+_HIERARCHY_TOLERANCE = 0.2
 
 
 class Phase(StrEnum):
@@ -40,9 +45,7 @@ class Phase(StrEnum):
     RESIDUAL = "residual"
     """Rounds of random blocks for the model's residual."""
     HIERARCHY = "hierarchy"
-    """Levels of symmetric or dual photography, which don't use the model."""
-    HIERARCHY_RESIDUAL = "hierarchy residual"
-    """Rounds of random blocks for the hierarchy's residual."""
+    """Rounds of multiplexed dual photography, which don't use the model."""
 
 
 @dataclass(frozen=True)
@@ -91,21 +94,16 @@ class AdaptiveState(MethodState):
     model : AdaptiveModel, optional
         The model fitted to `pictures`; None before the floodlit picture.
     residual : Residual, optional
-        Residual of the model, or of the hierarchy if `residual_of_hierarchy`.
-    hierarchy_state : state, optional
-        State of symmetric or dual photography, once it has begun.
+        Residual of the model.
+    hierarchy_state : MultiplexedState, optional
+        State of multiplexed dual photography, once it has begun.
     hierarchy_levels : tuple of int
         Numbers of the acquisition's levels that refined the hierarchy.
-    hierarchy_tolerance : float
-        Tolerance of symmetric or dual photography; 0 before it begins.
     prior : Transport, optional
         Transport of the same rig, of an earlier acquisition of this or a similar scene.
     prior_is_refuted : bool
         Whether held-out pictures have shown that the prior doesn't help.
     """
-
-    hierarchy_method: ClassVar[str]
-    """Name of the method of the hierarchy, ``symmetric`` or ``dual``."""
 
     pictures_type: ClassVar[Any]
     """Type of `pictures`: a dataclass of arrays whose first axis are the pictures."""
@@ -119,10 +117,8 @@ class AdaptiveState(MethodState):
     estimates: tuple[Estimate, ...] = ()
     model: AdaptiveModel | None = None
     residual: Residual | None = None
-    residual_of_hierarchy: bool = False
-    hierarchy_state: Any = None
+    hierarchy_state: MultiplexedState | None = None
     hierarchy_levels: tuple[int, ...] = ()
-    hierarchy_tolerance: float = 0.0
     prior: Transport | None = None
     prior_is_refuted: bool = False
 
@@ -197,8 +193,8 @@ class AdaptiveState(MethodState):
 
     def to_arrays(self, previous: Self) -> StateArrays:
         """Return new pictures, parts that were replaced, and what the hierarchy added."""
-        attributes: dict[str, Any] = {name: getattr(self, name) for name in _PLAIN}
-        attributes |= {
+        attributes: dict[str, Any] = {
+            "prior_is_refuted": self.prior_is_refuted,
             "next_round": None if self.next_round is None else asdict(self.next_round),
             "rows": list(self.rows),
             "hierarchy_levels": list(self.hierarchy_levels),
@@ -218,10 +214,11 @@ class AdaptiveState(MethodState):
             attributes["has_residual"] = self.residual is not None
             if self.residual is not None:
                 arrays |= with_prefix("residual_", _residual_arrays(self.residual))
-        if self.hierarchy_state is not previous.hierarchy_state:
+        inner = self.hierarchy_state
+        if inner is not None and inner is not previous.hierarchy_state:
             start = previous.hierarchy_state
             start = hierarchy_start(self) if start is None else start
-            changed = self.hierarchy_state.to_arrays(start)
+            changed = inner.to_arrays(start)
             arrays |= with_prefix("hierarchy_", changed.arrays)
             attributes["hierarchy"] = dict(changed.attributes)
         return StateArrays(arrays, attributes)
@@ -244,7 +241,7 @@ class AdaptiveState(MethodState):
             cell_pictures=_all(_pictures(CellPictures, "cell_pictures_", levels)),
             held_out=_all(_pictures(Pictures, "held_out_", levels)),
             residual=_residual(levels),
-            **{name: last[name] for name in _PLAIN},
+            prior_is_refuted=last["prior_is_refuted"],
         )
         added = [
             StateArrays(without_prefix("hierarchy_", level.arrays), level.attributes["hierarchy"])
@@ -254,18 +251,18 @@ class AdaptiveState(MethodState):
         if not added:
             return state
         before = hierarchy_start(state)
-        return replace(state, hierarchy_state=type(before).from_arrays(before, added))
+        return replace(state, hierarchy_state=MultiplexedState.from_arrays(before, added))
 
 
-def hierarchy_start(state: AdaptiveState) -> Any:
+def hierarchy_start(state: AdaptiveState) -> MultiplexedState:
     """Return the state of the hierarchy before its floodlit level."""
-    method = get_method(state.hierarchy_method)
-    assert isinstance(method, Method)
-    significance = state.options.noise_significance
     options = options_of(
-        method, tolerance=state.hierarchy_tolerance, noise_significance=significance
+        HIERARCHY_METHOD,
+        tolerance=_HIERARCHY_TOLERANCE * state.options.target_error,
+        noise_significance=state.options.noise_significance,
     )
-    return method.start(state.camera, state.projector, state.channels, options)
+    assert isinstance(options, MultiplexedOptions)
+    return HIERARCHY_METHOD.start(state.camera, state.projector, state.channels, options)
 
 
 def latest(attribute: str, levels: Sequence[StateArrays]) -> StateArrays | None:

@@ -19,10 +19,8 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
     NOT_SUITABLE,
     Decision,
-    after_hierarchy_residual_round,
     after_round_before_hierarchy,
 )
-from rfpipe.methods.adaptive.forecast import HierarchyCost
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
 from rfpipe.methods.adaptive.rounds import Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
@@ -58,9 +56,6 @@ _VIEW_ROUNDS = (24, 12, 16, 24, 32, 40, 50, 60)
 WRONG_MODEL = 0.07
 """Estimated error of the first round above which dual photography follows. The first round leaves
 3 to 5 % on diffuse scenes, 8 to 11 % on caustics."""
-
-# Mean errors are 2 to 6 tolerances of dual photography; its residual model halves them.
-HIERARCHY = HierarchyCost(patterns=45.0, power=0.75, tolerance=0.2)
 
 
 def patterns_in_round(number: int, views: int) -> int:
@@ -210,11 +205,8 @@ class FootprintModel:
         self,
         rows: list[dict[str, Any]],
         residual: Sequence[Transport] = (),
-        hierarchy: Transport | None = None,
     ) -> SumTransport:
-        """Assemble footprints with indirect light, or the hierarchy, and the residual."""
-        if hierarchy is not None:
-            return SumTransport([hierarchy, *residual], rows)
+        """Assemble footprints with indirect light, and the residual."""
         base = self.prior_terms or [self.fitted_transport()]
         return SumTransport([*base, *residual], rows)
 
@@ -242,7 +234,6 @@ class FootprintModel:
 class FootprintState(AdaptiveState):
     """State of a footprint acquisition."""
 
-    hierarchy_method = "dual"
     pictures_type = PackedPictures
 
     model: FootprintModel | None = None
@@ -300,7 +291,6 @@ class Footprints(AdaptiveMethod):
     bytes_per_ray = 100_000
     trials = (0.05, 0.01, 0.005)
     State = FootprintState
-    hierarchy_cost = HIERARCHY
     residual_is_optional = False
 
     def rounds(self, projector: RayDomain) -> Rounds:
@@ -314,23 +304,16 @@ class Footprints(AdaptiveMethod):
         return _first_model(state, floodlit)
 
     def decide(self, state: AdaptiveState, phase: Phase, is_last: bool) -> Decision:
-        """Decide after a round, by its phase."""
-        if phase is Phase.MODEL:
-            return _after_model_round(state, is_last)
-        return after_hierarchy_residual_round(state, is_last)
+        """Decide after a round of the model whose error is above the target."""
+        assert state.model is not None
+        is_wrong = len(state.errors) == 1 and state.errors[0] > WRONG_MODEL
+        if state.allows_hierarchy and (is_wrong or not state.model.is_suitable):
+            return Decision(Phase.HIERARCHY, NOT_SUITABLE)
+        if not state.model.is_suitable:
+            return Decision(None, NOT_SUITABLE)
+        return after_round_before_hierarchy(state, phase, is_last=is_last)
 
 
 def _first_model(state: AdaptiveState, floodlit: Pictures) -> FootprintModel:
     limit, prior = state.options.patterns, state.accepted_prior
     return FootprintModel.of(floodlit, state.camera, state.projector, limit, prior)
-
-
-def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
-    """Decide after a round of the model whose error is above the target."""
-    assert state.model is not None
-    is_wrong = len(state.errors) == 1 and state.errors[0] > WRONG_MODEL
-    if state.allows_hierarchy and (is_wrong or not state.model.is_suitable):
-        return Decision(Phase.HIERARCHY, NOT_SUITABLE)
-    if not state.model.is_suitable:
-        return Decision(None, NOT_SUITABLE)
-    return after_round_before_hierarchy(state, Phase.MODEL, HIERARCHY, is_last=is_last)

@@ -198,6 +198,11 @@ class Multiplexed(Method[MultiplexedState]):
         return error <= state.options.tolerance**2 * light
 
 
+def coarse_pattern_count(levels: BlockLevels) -> int:
+    """Return the number of patterns above the level of single rays, without the floodlit one."""
+    return sum(pattern_count(number, len(levels)) for number in range(len(levels) - 1))
+
+
 def pattern_count(number: int, levels: int) -> int:
     """Return the number of patterns of a round after the floodlit picture, from 0.
 

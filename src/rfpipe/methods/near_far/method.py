@@ -18,17 +18,12 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
-    CLOSE,
     NOT_SUITABLE,
     Decision,
-    after_hierarchy_residual_round,
     after_round_before_hierarchy,
-    exceeds_hierarchy,
     has_stalled,
     is_mostly_noise,
-    is_nearly_met,
 )
-from rfpipe.methods.adaptive.forecast import HierarchyCost
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
 from rfpipe.methods.adaptive.rounds import RESIDUAL_ROUNDS, Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
@@ -52,9 +47,6 @@ ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 WRONG_MODEL = 0.1
 """Estimated error of the first round above which symmetric photography follows. The first round
 leaves 2 to 8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."""
-
-# Mean errors are 1 to 3 tolerances of symmetric photography; the residual halves them.
-HIERARCHY = HierarchyCost(patterns=30.0, power=0.55, tolerance=0.6)
 
 # Memory of a pixel and channel outside the fit: floodlit and held-out pictures, and relit ones.
 _IMAGE_VALUE_BYTES = 150
@@ -133,12 +125,8 @@ class NearFarModel:
         self,
         rows: list[dict[str, Any]],
         residual: Sequence[Transport] = (),
-        hierarchy: Transport | None = None,
     ) -> SumTransport:
         """Assemble indirect light, and the remainder of the floodlit image as direct light."""
-        if hierarchy is not None:
-            parts = [hierarchy, *residual]
-            return near_far_transport(self.shape, rows, None, self.floodlit, parts)
         terms = () if self.prior is None else terms_of(self.prior)
         parts = [*terms, *residual]
         return near_far_transport(self.shape, rows, self.smooth, self.floodlit, parts)
@@ -156,7 +144,6 @@ class NearFarModel:
 class NearFarState(AdaptiveState):
     """State of a near/far acquisition."""
 
-    hierarchy_method = "symmetric"
     pictures_type = SplitPictures
 
     model: NearFarModel | None = None
@@ -202,7 +189,6 @@ class NearFar(AdaptiveMethod):
     bytes_per_ray: int = 10_000
     trials = (0.05, 0.01, 0.003)
     State = NearFarState
-    hierarchy_cost = HIERARCHY
     residual_is_optional = True
 
     def rounds(self, projector: RayDomain) -> Rounds:
@@ -233,13 +219,7 @@ class NearFar(AdaptiveMethod):
         """Decide after a round, by its phase."""
         if phase is Phase.MODEL:
             return _after_model_round(state, is_last)
-        if phase is Phase.RESIDUAL:
-            return _after_residual_round(state, is_last)
-        # after the hierarchy, its cost is the most that further rounds may take to improve an error
-        # that is close to the target
-        if is_nearly_met(state) and exceeds_hierarchy(state, HIERARCHY):
-            return Decision(None, CLOSE)
-        return after_hierarchy_residual_round(state, is_last)
+        return _after_residual_round(state, is_last)
 
 
 def _after_model_round(state: AdaptiveState, is_last: bool) -> Decision:
@@ -259,4 +239,4 @@ def _after_residual_round(state: AdaptiveState, is_last: bool) -> Decision:
     """Decide after a round of the model's residual whose error is above the target."""
     if is_last and is_mostly_noise(state):
         return Decision(None, _NOISE)
-    return after_round_before_hierarchy(state, Phase.RESIDUAL, HIERARCHY, is_last=is_last)
+    return after_round_before_hierarchy(state, Phase.RESIDUAL, is_last=is_last)
