@@ -1,4 +1,13 @@
-"""Compiled sparse Bayesian regression of the blocks that light a camera pixel."""
+"""Compiled sparse Bayesian regression of the blocks that light a camera pixel.
+
+For the radiance c of a pixel in P pictures, with noise variances N, means A of the patterns over
+K blocks, and prior variances V of the blocks' light t, the posterior has two equal forms, of which
+the one with the smaller matrix is computed:
+
+    t = V A^T S^-1 c,            var(t) = V - V A^T S^-1 A V,     S = A V A^T + N            (P, P)
+    t = V^1/2 H^-1 V^1/2 A^T N^-1 c,    var(t) = V^1/2 H^-1 V^1/2,
+                                                H = 1 + V^1/2 A^T N^-1 A V^1/2               (K, K)
+"""
 
 from __future__ import annotations
 
@@ -6,6 +15,9 @@ import numba
 import numpy as np
 
 from rfpipe.array_types import Double, Float, Index, Numbers
+
+# Variance below which a block's light counts as 0, relative to the squared floodlit pixel.
+VANISHING = 1e-7
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
@@ -19,67 +31,87 @@ def fit_pixels(
     iterations: int,
     light: Double,
 ) -> None:
-    """Fit the light of the blocks of each pixel; write `light` and `variance`.
+    """Fit the light of the blocks of each pixel; write `light`, and `variance` for the next fit.
 
-    For the radiance c of a pixel in all pictures, with the noise variances N, means A of the
-    patterns over the pixel's blocks, and prior variances V of their light t,
-
-        S = A V A^T + N,    t = V A^T S^-1 c,    var(t) = V - V A^T S^-1 A V
-
-    Each iteration then replaces V by ``max(t, 0)^2 + var(t)``. Shapes: means (P, blocks of all
-    levels); starts (pixels + 1,); blocks, variance and light (n,); radiance and noise (pixels, P).
+    Each iteration replaces V by ``max(t, 0)^2 + var(t)``. Shapes: means (P, blocks of all levels);
+    starts (pixels + 1,); blocks, variance and light (n,); radiance and noise (pixels, P), the
+    floodlit picture first.
     """
     for pixel in range(len(starts) - 1):
-        first, last = starts[pixel], starts[pixel + 1]
-        if first == last:
-            continue
-        A = _columns(means, blocks[first:last])
-        V, t = variance[first:last], light[first:last]
-        S, Y = np.empty((len(A), len(A))), np.empty_like(A)
-        z = np.empty(len(A))
+        c, N, first = radiance[pixel], noise[pixel], starts[pixel]
+        active = np.arange(first, starts[pixel + 1])
         for _ in range(iterations):
-            Y[:] = A * V
-            for p in range(len(A)):
-                for q in range(p + 1):
-                    S[p, q] = np.dot(Y[p], A[q])
-                S[p, p] += noise[pixel, p]
-            _solve_lower(S, Y, radiance[pixel], z)
-            for k in range(len(t)):
-                total, known = 0.0, 0.0
-                for p in range(len(z)):
-                    total += Y[p, k] * z[p]
-                    known += Y[p, k] * Y[p, k]
-                t[k] = total
-                V[k] = max(total, 0.0) ** 2 + max(V[k] - known, 0.0)
-
-
-@numba.njit(cache=True, nogil=True)
-def _columns(means: Float, blocks: Numbers) -> Double:
-    """Select columns of the means, (P, blocks)."""
-    columns = np.empty((len(means), len(blocks)))
-    for p in range(len(means)):
-        for k in range(len(blocks)):
-            columns[p, k] = means[p, blocks[k]]
-    return columns
+            A, V = np.empty((len(c), len(active))), variance[active]
+            for p in range(len(c)):
+                for k in range(len(active)):
+                    A[p, k] = means[p, blocks[active[k]]]
+            solve = len(active) < len(c)
+            t, posterior = _block_form(A, c, N, V) if solve else _picture_form(A, c, N, V)
+            light[first : starts[pixel + 1]] = 0
+            light[active] = t
+            variance[active] = np.maximum(t, 0) ** 2 + np.maximum(posterior, 0)
+            active = active[variance[active] > VANISHING * c[0] ** 2]
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
-def _solve_lower(S: Double, Y: Double, c: Double, z: Double) -> None:
-    """Factor ``S = L L^T`` in place, replace Y by ``L^-1 Y``, and write ``z = L^-1 c``."""
+def _picture_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, Double]:
+    """Compute t and var(t) with a matrix over pictures."""
+    Y, S, z = A * V, np.empty((len(A), len(A))), c.copy()
+    for p in range(len(A)):
+        for q in range(p + 1):
+            S[p, q] = np.dot(Y[p], A[q])
+        S[p, p] += N[p]
+    _factor(S)
     for p in range(len(S)):
-        z[p] = c[p]
         for q in range(p):
-            total = S[p, q]
-            for r in range(q):
-                total -= S[p, r] * S[q, r]
-            S[p, q] = total / S[q, q]
             z[p] -= S[p, q] * z[q]
-            for k in range(Y.shape[1]):
+            for k in range(len(V)):
                 Y[p, k] -= S[p, q] * Y[q, k]
-        total = S[p, p]
-        for r in range(p):
-            total -= S[p, r] * S[p, r]
-        S[p, p] = np.sqrt(total)
         z[p] /= S[p, p]
-        for k in range(Y.shape[1]):
-            Y[p, k] /= S[p, p]
+        Y[p] /= S[p, p]
+    t, posterior = np.zeros_like(V), V.copy()
+    for p in range(len(z)):
+        for k in range(len(V)):
+            t[k] += Y[p, k] * z[p]
+            posterior[k] -= Y[p, k] ** 2
+    return t, posterior
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _block_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, Double]:
+    """Compute t and var(t) with a matrix over blocks."""
+    deviations = np.sqrt(V)
+    B = np.empty((len(V), len(c)))
+    for p in range(len(c)):
+        for k in range(len(V)):
+            B[k, p] = A[p, k] * deviations[k] / np.sqrt(N[p])
+    H, b, inverse = np.empty((len(V), len(V))), np.zeros(len(V)), np.eye(len(V))
+    for k in range(len(V)):
+        for m in range(k + 1):
+            H[k, m] = np.dot(B[k], B[m])
+        H[k, k] += 1
+        for p in range(len(c)):
+            b[k] += B[k, p] * c[p] / np.sqrt(N[p])
+    _factor(H)
+    for k in range(len(V)):
+        for m in range(k):
+            b[k] -= H[k, m] * b[m]
+            for n in range(m + 1):
+                inverse[k, n] -= H[k, m] * inverse[m, n]
+        b[k] /= H[k, k]
+        inverse[k, : k + 1] /= H[k, k]
+    t, posterior = np.zeros_like(V), np.zeros_like(V)
+    for k in range(len(V)):
+        for n in range(k + 1):
+            t[n] += inverse[k, n] * b[k]
+            posterior[n] += inverse[k, n] ** 2
+    return t * deviations, posterior * V
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _factor(S: Double) -> None:
+    """Replace the lower triangle of S by that of its Cholesky factor."""
+    for p in range(len(S)):
+        for q in range(p):
+            S[p, q] = (S[p, q] - np.dot(S[p, :q], S[q, :q])) / S[q, q]
+        S[p, p] = np.sqrt(S[p, p] - np.dot(S[p, :p], S[p, :p]))
