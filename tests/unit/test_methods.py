@@ -14,6 +14,7 @@ from rfpipe.methods.brute_force import BruteForce
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.footprints.method import Footprints
 from rfpipe.methods.hadamard import Hadamard
+from rfpipe.methods.multiplexed.method import Multiplexed
 from rfpipe.methods.near_far.method import NearFar
 from rfpipe.methods.symmetric.method import Symmetric
 from rfpipe.testing import MethodContract
@@ -40,6 +41,11 @@ class TestDual(MethodContract):
 
     def make_method(self) -> Method:
         return Dual()
+
+
+class TestMultiplexed(MethodContract):
+    def make_method(self) -> Method:
+        return Multiplexed()
 
 
 class TestSymmetric(MethodContract):
@@ -110,7 +116,7 @@ def test_every_installed_method_is_tested_here() -> None:
 def test_methods_differ_in_title_colour_and_marker() -> None:
     methods = [get_method(name) for name in NAMES]
     assert [method.name for method in methods] == list(NAMES)
-    assert len({method.title for method in methods}) == len(NAMES) == 7
+    assert len({method.title for method in methods}) == len(NAMES) == 8
     assert len({method.colour for method in methods}) == len(NAMES)
     assert len({method.marker for method in methods}) == len(NAMES)
 
