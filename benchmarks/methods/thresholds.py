@@ -10,7 +10,6 @@ from __future__ import annotations
 import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack
-from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from types import ModuleType
@@ -22,8 +21,8 @@ import numpy as np
 from benchmarks.harness import write
 from benchmarks.methods.cases import Case
 from benchmarks.methods.measure import measure
-from rfpipe.methods.adaptive import decisions, forecast
-from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive import decisions, forecast, state
 from rfpipe.methods.footprints import method as footprints
 from rfpipe.methods.near_far import method as near_far
 
@@ -41,21 +40,19 @@ def constant(
     return [(value, [(module, name, value)]) for value in values]
 
 
-def cost(
-    module: ModuleType, method: type[AdaptiveMethod], field: str, factor: float
-) -> list[Change]:
-    """Multiply a field of a method's `HierarchyCost`."""
-    present = method.hierarchy_cost
-    changed_cost = replace(present, **{field: factor * getattr(present, field)})
-    return [(module, "HIERARCHY", changed_cost), (method, "hierarchy_cost", changed_cost)]
+def hierarchy_patterns(factor: float) -> list[Change]:
+    """Multiply the number of patterns that a hierarchy is expected to take."""
+
+    def multiplied(projector: RayDomain, target: float) -> float:
+        return factor * present(projector, target)
+
+    present = forecast.hierarchy_patterns
+    return [(module, "hierarchy_patterns", multiplied) for module in (decisions, forecast)]
 
 
-def costs(field: str, factor: float) -> list[Change]:
-    """Multiply a field of the `HierarchyCost` of both methods."""
-    return [
-        *cost(near_far, near_far.NearFar, field, factor),
-        *cost(footprints, footprints.Footprints, field, factor),
-    ]
+def hierarchy_tolerance(factor: float) -> list[Change]:
+    """Multiply the tolerance of the hierarchy."""
+    return [(state, "_HIERARCHY_TOLERANCE", factor * state._HIERARCHY_TOLERANCE)]
 
 
 def wrong_model(factor: float) -> list[Change]:
@@ -72,8 +69,8 @@ CHANGES: dict[str, list[tuple[Any, list[Change]]]] = {
     "extrapolation": constant("EXTRAPOLATION_MARGIN", 0.9, 1.4),
     "nearly": constant("NEARLY", 1.0, 1.5),
     "noise": constant("MOSTLY_NOISE", 1.1, 2.5),
-    "hierarchy_patterns": [(factor, costs("patterns", factor)) for factor in (0.67, 1.5)],
-    "tolerance": [(factor, costs("tolerance", factor)) for factor in (0.6, 1.7)],
+    "hierarchy_patterns": [(factor, hierarchy_patterns(factor)) for factor in (0.67, 1.5)],
+    "tolerance": [(factor, hierarchy_tolerance(factor)) for factor in (0.6, 1.7)],
     "wrong_model": [(factor, wrong_model(factor)) for factor in (0.6, 1.7)],
 }
 """Two other values of each threshold; the last three have factors."""
