@@ -75,11 +75,11 @@ def test_patterns_depend_on_the_key_and_the_index_alone(method: AdaptiveMethod) 
 
 
 @METHODS
-def test_a_hierarchy_replaces_the_fit_and_a_residual_is_added(method: AdaptiveMethod) -> None:
+def test_a_residual_is_added_to_the_fit(method: AdaptiveMethod) -> None:
     model, light = fitted(method), WHITE.lit
     part = first_model(method).transport([])
-    without_residual = model.transport([], hierarchy=part)
-    with_residual = model.transport([], [part], hierarchy=part)
+    without_residual = model.transport([])
+    with_residual = model.transport([], [part])
     assert len(with_residual.parts) == len(without_residual.parts) + 1
     assert np.isfinite(relight_white(with_residual, light)).all()
 

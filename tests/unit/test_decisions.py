@@ -13,7 +13,11 @@ from rfpipe.methods.adaptive.decisions import (
     end,
     next_pattern_count,
 )
-from rfpipe.methods.adaptive.forecast import TYPICAL_POWER, patterns_to_target
+from rfpipe.methods.adaptive.forecast import (
+    TYPICAL_POWER,
+    hierarchy_patterns,
+    patterns_to_target,
+)
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
 from rfpipe.methods.adaptive.state import STOPPING_FRACTION, AdaptiveState, Phase, Round
 from rfpipe.methods.base import ErrorOptions
@@ -130,14 +134,15 @@ def test_a_hierarchy_begins_where_blocks_would_take_more_patterns(
     ("errors", "target", "phase"),
     [
         ((0.04, 0.02, 0.009), 0.01, None),
-        ((0.04, 0.03, 0.025), 0.02, Phase.MODEL),
+        ((0.04, 0.03, 0.022), 0.02, Phase.MODEL),
+        ((0.04, 0.03, 0.025), 0.02, Phase.HIERARCHY),
         ((0.04, 0.039, 0.038), 0.01, Phase.HIERARCHY),
         ((0.12,), 0.01, Phase.HIERARCHY),
         ((0.04, 0.02, 0.015, 0.014, 0.013, 0.012, 0.0113), 0.01, None),
         ((0.04, 0.02, 0.015, 0.014, 0.013, 0.0125, 0.0122), 0.01, Phase.HIERARCHY),
     ],
 )
-def test_dual_photography_begins_where_footprints_would_take_more_patterns(
+def test_a_hierarchy_begins_where_footprints_would_take_more_patterns(
     errors: tuple[float, ...], target: float, phase: Phase | None
 ) -> None:
     state = after_model_rounds(Footprints(), errors, target)
@@ -180,7 +185,7 @@ def test_remaining_patterns_follow_from_the_error_so_far() -> None:
     by_rounds = shown * ((0.012 / 0.0095) ** (1 / 0.4) - 1)
     assert method.remaining_patterns(two_rounds) == round(by_rounds)
     stalled = replace(after_model_rounds(method, [0.03, 0.029], 0.01), next_round=coming)
-    hierarchy = method.hierarchy_cost.expected_patterns(RAYS, 0.01)
+    hierarchy = hierarchy_patterns(RAYS, 0.01)
     assert method.remaining_patterns(stalled) == round(hierarchy)
     next_level = replace(one_round, next_round=Round(Phase.HIERARCHY))
     assert method.remaining_patterns(next_level) == round(hierarchy)

@@ -1,4 +1,4 @@
-"""Near/far acquisition: patterns, errors, estimates, and the hand-over to symmetric photography."""
+"""Near/far acquisition: patterns, errors, estimates, and the hand-over to a hierarchy."""
 
 from __future__ import annotations
 
@@ -147,26 +147,24 @@ def test_the_estimated_error_is_that_of_the_hierarchy_that_is_returned(
 
 
 class MirrorContract(MethodContract):
-    """The contract of methods on a mirror, for which symmetric photography takes over."""
+    """The contract of methods on a mirror, for which multiplexed dual photography takes over."""
 
     def make_method(self) -> NearFar:
         return NearFar()
 
+    def _shapes(self) -> tuple[tuple[int, ...], tuple[int, ...]]:
+        return (8, 9), (8, 9)
+
     def _matrix(self) -> np.ndarray:
-        return np.repeat(0.9 * np.eye(42)[None, ::-1], 3, axis=0)
+        return np.repeat(0.9 * np.eye(72)[None, ::-1], 3, axis=0)
 
 
 def test_a_state_with_a_hierarchy_is_restored() -> None:
     suite = MirrorContract()
     states = suite._run(suite._matrix()).states
     rounds = [state.next_round for state in states]
-    first = next(
-        state
-        for state, coming in zip(states, rounds, strict=True)
-        if coming is not None and coming.phase is Phase.HIERARCHY
-    )
-    # rays that a level leaves dark are predicted by the hierarchy, whatever its error
-    assert isinstance(NearFar().transport_of_unlit_rays(first), HierarchicalTransport)
+    assert any(coming is not None and coming.phase is Phase.HIERARCHY for coming in rounds)
+    assert states[-1].hierarchy_state.blocks is not None
     suite.test_a_state_is_restored_from_its_arrays()
 
 
