@@ -14,6 +14,7 @@ from rfpipe import CameraModel, acquire
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config import SceneSettings
 from rfpipe.methods.hadamard import s_matrix_order, s_matrix_row
+from rfpipe.methods.multiplexed.blocks import BlockLevels
 from rfpipe.pictures.images import srgb
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
@@ -47,6 +48,15 @@ def dual() -> Figure:
     rows = [transport.truncate(level).toarray(rows=[pixel]) for level in levels]
     images = [_logarithmic(_grey(row).reshape(transport.projector_shape)) for row in rows]
     return _drawn([images], [f"level {level}" for level in levels])
+
+
+def multiplexed() -> Figure:
+    """Draw a pattern of each level of multiplexed dual photography."""
+    levels, random = BlockLevels(RayDomain((48, 48))), np.random.default_rng(0)
+    lit = [random.random((1, levels.tree.n_blocks(level))) < 0.5 for level in levels.levels]
+    images = [levels.patterns(index, blocks)[0] for index, blocks in enumerate(lit)]
+    counts = [levels.tree.n_blocks(level) for level in levels.levels]
+    return _drawn([images], [f"{count:,} blocks" for count in counts])
 
 
 def symmetric() -> Figure:
@@ -135,7 +145,7 @@ def _drawn(
 
 def main(folder: str) -> None:
     """Write all pictures into a folder."""
-    for draw in (scans, dual, symmetric, near_far, footprints):
+    for draw in (scans, dual, multiplexed, symmetric, near_far, footprints):
         image = io.BytesIO()
         draw().savefig(image, format="png", dpi=110)
         write_atomically(Path(folder) / f"method_{draw.__name__}.png", image.getvalue())
