@@ -14,7 +14,7 @@ from rfpipe.methods.near_far.method import NearFar
 class Auto(MethodDescription):
     """Near/far acquisition on coaxial rigs, footprint acquisition on all others and on views.
 
-    Both continue with symmetric or dual photography if their model doesn't fit the light.
+    Both continue with multiplexed dual photography if their model doesn't fit the light.
     """
 
     name = "auto"

@@ -2,8 +2,8 @@
 
 The model ``T = D + diag(f) L S R^T diag(g)`` (`rfpipe.methods.footprints.model`) is fitted to
 rounds of random patterns. The projector pixels that each camera pixel sees are found from the same
-pictures, without calibration or structured light. Where the model does not fit, dual photography
-follows.
+pictures, without calibration or structured light. Where the model does not fit, multiplexed dual
+photography follows.
 """
 
 from __future__ import annotations
@@ -54,8 +54,8 @@ Fewer than 24 patterns do not distinguish the footprints of small scenes.
 _VIEW_ROUNDS = (24, 12, 16, 24, 32, 40, 50, 60)
 
 WRONG_MODEL = 0.07
-"""Estimated error of the first round above which dual photography follows. The first round leaves
-3 to 5 % on diffuse scenes, 8 to 11 % on caustics."""
+"""Estimated error of the first round above which multiplexed dual photography follows. The first
+round leaves 3 to 5 % on diffuse scenes, 8 to 11 % on caustics."""
 
 
 def patterns_in_round(number: int, views: int) -> int:
@@ -69,7 +69,8 @@ def patterns_in_round(number: int, views: int) -> int:
 def suits_random_patterns(projector: RayDomain, limit: int) -> bool:
     """Test whether the model can be fitted to the random patterns of the first round.
 
-    Otherwise none are shown: dual photography follows, or the acquisition ends if it has a limit.
+    Otherwise none are shown: multiplexed dual photography follows, or the acquisition ends if it
+    has a limit.
     The projector must have at least 96 rays per view, four times as many as the first round has
     patterns. With several views, `limit` must leave a floodlit pattern and more than four random
     ones for each view, besides the floodlit and the held-out pictures.

@@ -2,8 +2,8 @@
 
 Direct light, near-range and far-range indirect light are fitted together to pictures of random
 patterns (`rfpipe.methods.near_far.model`). The residual of this model is fitted to pictures of
-random blocks. Light that goes to single places, as by mirrors and glass, is left to symmetric
-photography.
+random blocks. Light that goes to single places, as by mirrors and glass, is left to
+multiplexed dual photography.
 """
 
 from __future__ import annotations
@@ -45,8 +45,8 @@ ROUNDS = (6, 10, 8, 12, 16, 24, 32)
 """Largest number of patterns of each round of the model. Many scenes need only the first two."""
 
 WRONG_MODEL = 0.1
-"""Estimated error of the first round above which symmetric photography follows. The first round
-leaves 2 to 8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."""
+"""Estimated error of the first round above which multiplexed dual photography follows. The first
+round leaves 2 to 8 % on diffuse and glossy scenes, 10 to 20 % with mirrors or glass."""
 
 # Memory of a pixel and channel outside the fit: floodlit and held-out pictures, and relit ones.
 _IMAGE_VALUE_BYTES = 150
