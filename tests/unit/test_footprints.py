@@ -149,7 +149,7 @@ def test_diffuse_scene_needs_two_rounds_for_2_percent(camera: Any, projector: An
 
 
 @pytest.mark.slow
-def test_mirrors_are_acquired_by_dual_photography_with_an_error_estimate() -> None:
+def test_mirrors_are_acquired_by_multiplexed_photography_with_an_error_estimate() -> None:
     random = np.random.default_rng(0)
     size = 16 * 16
     matrix = np.eye(size)[random.permutation(size)] * random.uniform(0.5, 1, (size, 1))
