@@ -8,8 +8,10 @@ import pytest
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
+    ALL_SHOWN,
     NOT_SUITABLE,
     Decision,
+    after_hierarchy_round,
     end,
     next_pattern_count,
 )
@@ -19,7 +21,13 @@ from rfpipe.methods.adaptive.forecast import (
     patterns_to_target,
 )
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
-from rfpipe.methods.adaptive.state import STOPPING_FRACTION, AdaptiveState, Phase, Round
+from rfpipe.methods.adaptive.state import (
+    STOPPING_FRACTION,
+    AdaptiveState,
+    Phase,
+    Round,
+    hierarchy_start,
+)
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.footprints.method import Footprints
@@ -155,6 +163,29 @@ def test_a_scene_that_footprints_do_not_fit_ends_at_a_limit_of_patterns() -> Non
     assert decision(Footprints(), state, Phase.MODEL, False) == (Phase.HIERARCHY, NOT_SUITABLE)
     limited = replace(state, options=ErrorOptions(target_error=0.01, patterns=500))
     assert decision(Footprints(), limited, Phase.MODEL, False) == (None, NOT_SUITABLE)
+
+
+def after_hierarchy_rounds(counts: Sequence[int], errors: Sequence[float]) -> AdaptiveState:
+    """Return the state of near/far acquisition after rounds of a hierarchy."""
+    before = after_model_rounds(NearFar(), [0.12], 0.01)
+    state = after_residual_rounds(before, counts, errors)
+    levels = tuple(range(len(before.rows), len(state.rows)))
+    return replace(state, hierarchy_state=hierarchy_start(state), hierarchy_levels=levels)
+
+
+def test_a_hierarchy_ends_where_single_rays_would_take_more_patterns_than_brute_force() -> None:
+    """Errors above the level of single rays show no trend."""
+    counts, coarse = (16, 16, 24, 32, 16, 24), (0.9, 0.8, 0.7)
+    for errors, phase in (
+        (coarse, Phase.HIERARCHY),
+        ((*coarse, 0.5, 0.4), Phase.HIERARCHY),
+        ((*coarse, 0.1, 0.05, 0.02), Phase.HIERARCHY),
+        ((*coarse, 0.1, 0.099, 0.098), None),
+    ):
+        state = after_hierarchy_rounds(counts[: len(errors)], errors)
+        assert after_hierarchy_round(state).phase is phase
+    complete = replace(state, hierarchy_state=replace(state.hierarchy_state, is_complete=True))
+    assert after_hierarchy_round(complete) == (None, ALL_SHOWN)
 
 
 def test_a_round_has_the_patterns_missing_by_extrapolation() -> None:
