@@ -122,6 +122,11 @@ def test_a_dark_scene_ends_after_two_rounds_of_single_rays() -> None:
     assert not dense(run.transport).any()
 
 
+def test_the_transport_is_known_after_the_last_level_alone() -> None:
+    run = acquire_matrix(Multiplexed(), sparse_matrix(30, RAYS), (5, 6), SHAPE)
+    assert [*run.transport.known_levels] == [len(run.patterns) - 1]
+
+
 @dataclass
 class MaskedImages(MatrixImages):
     """Images in which some camera pixels are masked."""

@@ -305,7 +305,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         model = self._candidate(state, self._model(state).transport(rows))
         if state.hierarchy_state is None:
             return model
-        transport = SumTransport([HIERARCHY_METHOD.transport(state.hierarchy_state)], rows)
+        transport = SumTransport(HIERARCHY_METHOD.transport(state.hierarchy_state).parts, rows)
         return min(model, self._candidate(state, transport), key=_error)
 
     def _candidate(self, state: AdaptiveState, transport: Transport) -> Candidate:

@@ -39,6 +39,7 @@ from rfpipe.patterns import Schedule
 from rfpipe.provenance import generator
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import by_level
+from rfpipe.transport.sum import SumTransport
 
 # Seed of the random patterns.
 _SEED = 2005
@@ -171,11 +172,17 @@ class Multiplexed(Method[MultiplexedState]):
         rows = (*state.rows, {**row, "nodes": len(blocks.block), "scalar": lit_blocks})
         return replace(after, rows=rows, blocks=blocks, is_complete=is_complete)
 
-    def transport(self, state: MultiplexedState) -> MultilevelTransport:
-        """Return the transport of all levels; blocks that aren't subdivided yet light evenly."""
+    def transport(self, state: MultiplexedState) -> SumTransport:
+        """Return the transport of all levels; blocks that aren't subdivided yet light evenly.
+
+        It is the only part of a sum, which is known after the last level alone: all pictures are
+        fitted together.
+        """
         responses = [] if state.blocks is None else state.blocks.responses(state.levels)
         shapes = state.camera.shape, state.projector.shape
-        return MultilevelTransport(*shapes, state.channels, list(state.rows), by_level(responses))
+        rows = list(state.rows)
+        part = MultilevelTransport(*shapes, state.channels, rows, by_level(responses))
+        return SumTransport([part], rows)
 
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
