@@ -11,9 +11,9 @@ from rfpipe.methods.multiplexed.blocks import BlockLevels
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
 """Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
 
-HIERARCHY_RAY_ROUNDS = 16
+HIERARCHY_RAY_ROUNDS = 24
 """Largest number of further rounds of single rays in a hierarchy: more than any has, since each
-takes half as many patterns as all before it."""
+takes a third as many patterns as all before it."""
 
 Rounds = dict[Phase, tuple[int, ...]]
 """Largest number of random patterns of each round, for each phase after the floodlit one."""

@@ -56,14 +56,19 @@ class BlockLevels:
         return np.concatenate(parts, axis=1)
 
     @cached_property
-    def first_children(self) -> list[Index]:
-        """First child of each block, and the end of the last one's, for each level but the last."""
-        return [
-            np.searchsorted(self.tree.starts[fine], self.tree.starts[coarse]) + offset
+    def children(self) -> Index:
+        """First child of each block that isn't a single ray, and the end of the last one's.
+
+        The children of block b are ``children[b]:children[b + 1]``.
+        """
+        starts = self.tree.starts
+        first = [
+            np.searchsorted(starts[fine], starts[coarse][:-1]) + offset
             for coarse, fine, offset in zip(
                 self.levels[:-1], self.levels[1:], self.offsets[1:-1], strict=True
             )
         ]
+        return np.concatenate([*first, self.offsets[-1:]])
 
     def patterns(self, index: int, lit: Bools) -> Float:
         """Return the patterns (P, *shape) that light the blocks `lit` (P, blocks) of a level."""
@@ -116,35 +121,29 @@ class PixelBlocks:
         expected = light.sum(axis=0) * np.float32(np.sqrt(count))
         return cls(starts, block, expected, light)
 
-    def subdivided(
-        self, levels: BlockLevels, index: int, thresholds: Float, floor: float
-    ) -> PixelBlocks:
-        """Replace the bright blocks of a level by their children of the next level.
+    def subdivided(self, levels: BlockLevels, finest: int, thresholds: Float) -> PixelBlocks:
+        """Replace bright blocks by their children of the next level.
 
         Parameters
         ----------
         levels : BlockLevels
-        index : int
-            Index of the level in `BlockLevels.levels`.
+        finest : int
+            Index of the finest level of the children in `BlockLevels.levels`.
         thresholds : ndarray of float32, shape (M,)
             Radiance, summed over the channels, above which a pixel's block is subdivided.
-        floor : float
-            Least expected light of an entry.
         """
         grey = self.light.sum(axis=0)
-        of_level = (levels.offsets[index] <= self.block) & (self.block < levels.offsets[index + 1])
-        is_open = of_level & (grey > thresholds[self.pixel])
-        children = levels.first_children[index]
-        in_level = self.block[is_open] - levels.offsets[index]
+        is_open = (grey > thresholds[self.pixel]) & (self.block < levels.offsets[finest])
         begin, counts = self.block.astype(np.int64), np.ones(len(self.block), np.int64)
-        begin[is_open] = children[in_level]
-        counts[is_open] = children[in_level + 1] - children[in_level]
+        children = levels.children
+        begin[is_open] = children[self.block[is_open]]
+        counts[is_open] = children[self.block[is_open] + 1] - children[self.block[is_open]]
         ends = np.concatenate([[0], np.cumsum(counts)])
-        shared = np.maximum(grey / np.sqrt(counts.astype(np.float32)), np.float32(floor))
+        expected = np.where(is_open, grey / np.sqrt(counts.astype(np.float32)), self.expected)
         return PixelBlocks(
             ends[self.starts],
             ragged_ranges(begin, counts).astype(np.int32),
-            np.repeat(shared, counts),
+            np.repeat(expected, counts),
             np.repeat(self.light / counts.astype(np.float32), counts, axis=1),
         )
 

@@ -44,13 +44,12 @@ from rfpipe.transport.sum import SumTransport
 # Seed of the random patterns.
 _SEED = 2005
 # Patterns of the first two levels, of each further one, and of the first two rounds of single rays.
-# Each later round has half as many patterns as all rounds of single rays before it.
+# Each later round has a third as many patterns as all rounds of single rays before it.
 _COARSE, _FINE, _RAYS = 16, 24, (32, 16)
-# A block is subdivided for a pixel if its light exceeds this share of the floodlit pixel, or of
-# this fraction of the mean pixel where it is darker.
+# A block is subdivided for a pixel if its light exceeds this share of the floodlit pixel, later one
+# over the number of patterns; where the pixel is darker than this fraction of the mean pixel, of
+# that.
 _SUBDIVIDED, _DARK = 0.01, 0.05
-# Least expected light of a block, relative to the floodlit image's maximum.
-_FLOOR = 1e-5
 
 
 class MultiplexedOptions(Options):
@@ -162,12 +161,13 @@ class Multiplexed(Method[MultiplexedState]):
         blocks = fit_blocks(state.levels, state.blocks, after.pictures)
         is_repeated = state.level > len(state.levels)
         is_complete = is_repeated and self._is_predicted(state, pictures)
-        is_complete |= sum(row["patterns"] for row in after.rows) >= state.projector.size
-        if state.index + 1 < len(state.levels):
-            grey = floodlit.sum(axis=0)
-            thresholds = _SUBDIVIDED * np.maximum(grey, np.float32(_DARK) * grey.mean())
-            floor = _FLOOR * float(grey.max())
-            blocks = blocks.subdivided(state.levels, state.index, thresholds, floor)
+        shown = sum(row["patterns"] for row in after.rows)
+        is_complete |= shown >= state.projector.size
+        grey = floodlit.sum(axis=0)
+        share = min(_SUBDIVIDED, 1 / shown)
+        thresholds = share * np.maximum(grey, np.float32(_DARK) * grey.mean())
+        finest = min(state.index + 1, len(state.levels) - 1)
+        blocks = blocks.subdivided(state.levels, finest, thresholds)
         lit_blocks = int(np.count_nonzero(blocks.light.any(axis=0)))
         rows = (*state.rows, {**row, "nodes": len(blocks.block), "scalar": lit_blocks})
         return replace(after, rows=rows, blocks=blocks, is_complete=is_complete)
@@ -220,7 +220,7 @@ def pattern_count(number: int, levels: int) -> int:
     of_rays = number - (levels - 1)
     if of_rays < len(_RAYS):
         return _RAYS[of_rays]
-    return sum(pattern_count(earlier, levels) for earlier in range(levels - 1, number)) // 2
+    return sum(pattern_count(earlier, levels) for earlier in range(levels - 1, number)) // 3
 
 
 def _halves(count: int, blocks: int, key: int) -> Bools:
