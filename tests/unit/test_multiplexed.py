@@ -248,8 +248,8 @@ def test_subdivided_blocks_cover_the_projector_once_and_keep_their_light() -> No
     sizes = np.concatenate([np.diff(levels.tree.starts[level]) for level in levels.levels])
     for index in range(len(levels) - 1):
         thresholds = np.full(pixels, np.median(blocks.light.sum(axis=0)), np.float32)
-        blocks = blocks.subdivided(levels, index, thresholds, floor=1e-3)
-        assert (blocks.expected >= np.float32(1e-3)).all()
+        blocks = blocks.subdivided(levels, index + 1, thresholds)
+        assert (blocks.expected > 0).all()
         covered = np.bincount(blocks.pixel, sizes[blocks.block], pixels)
         np.testing.assert_array_equal(covered, RAYS * is_lit)
         totals.append(np.bincount(blocks.pixel, blocks.light[0], pixels))

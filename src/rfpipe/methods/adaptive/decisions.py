@@ -14,6 +14,7 @@ from typing import NamedTuple
 from rfpipe.methods.adaptive.forecast import (
     error_power,
     hierarchy_patterns,
+    most_hierarchy_patterns,
     patterns_to_target,
     target_of,
 )
@@ -115,8 +116,10 @@ def after_hierarchy_round(state: AdaptiveState) -> Decision:
     assert inner is not None
     if inner.is_complete:
         return Decision(None, ALL_SHOWN)
+    rays, target = state.projector.size, target_of(state.options)
     # rounds of single rays follow those of the coarser levels; three errors show how they fall
     has_trend = len(state.hierarchy_levels) >= len(inner.levels) + 2
-    if has_trend and patterns_to_target(state) > state.projector.size:
+    is_slow = has_trend and patterns_to_target(state) > rays
+    if is_slow and rays > most_hierarchy_patterns(state.projector, target):
         return Decision(None, "more rounds would take more patterns than brute force")
     return Decision(Phase.HIERARCHY)

@@ -88,6 +88,11 @@ def hierarchy_patterns(projector: RayDomain, target: float) -> float:
     return coarse_pattern_count(BlockLevels(projector)) + HIERARCHY_RAYS.at(1, target)
 
 
+def most_hierarchy_patterns(projector: RayDomain, target: float) -> int:
+    """Bound the number of patterns of a hierarchy: it ends at one a ray."""
+    return min(round(_HIERARCHY_MARGIN * hierarchy_patterns(projector, target)), projector.size)
+
+
 def target_of(options: ErrorOptions) -> float:
     """Compute the total error that meets both targets, of all light and of indirect light."""
     indirect = options.target_indirect or np.inf
@@ -104,8 +109,7 @@ def most_patterns(projector: RayDomain, random_patterns: int, options: ErrorOpti
         Largest number of random patterns of all rounds.
     options : ErrorOptions
     """
-    expected = _HIERARCHY_MARGIN * hierarchy_patterns(projector, target_of(options))
-    hierarchy = min(round(expected), projector.size)
+    hierarchy = most_hierarchy_patterns(projector, target_of(options))
     total = 1 + len(HELD_OUT) + random_patterns + hierarchy
     return min(total, options.patterns or total)
 
