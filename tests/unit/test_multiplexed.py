@@ -18,7 +18,13 @@ from rfpipe.methods import options_of
 from rfpipe.methods.base import StateArrays
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks
-from rfpipe.methods.multiplexed.kernels import VANISHING, _block_form, _picture_form, fit_pixels
+from rfpipe.methods.multiplexed.kernels import (
+    VANISHING,
+    PixelPictures,
+    _block_form,
+    _picture_form,
+    fit_pixels,
+)
 from rfpipe.methods.multiplexed.method import Multiplexed, coarse_pattern_count, pattern_count
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing import MethodContract
@@ -302,5 +308,6 @@ def test_iterations_of_the_regression_agree_with_numpy() -> None:
             expected[active], V[active] = t, np.maximum(t, 0) ** 2 + of_t
             active = active[V[active] > VANISHING * radiance[pixel, 0] ** 2]
     light = np.zeros(len(blocks))
-    fit_pixels(means, starts, blocks, radiance, noise, variance, 3, light)
+    pictures = PixelPictures(means, radiance, noise)
+    fit_pixels(pictures, starts, blocks, variance, 3, light)
     np.testing.assert_allclose(light, expected, rtol=1e-4, atol=1e-6)

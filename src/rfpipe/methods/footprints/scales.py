@@ -50,7 +50,7 @@ _ALLOWED_ERROR = 0.004
 class ScaleAccuracies(NamedTuple):
     """Accuracies of S in a fit of indirect light: at each scale, and with all functions."""
 
-    each: Accuracy
+    scale: Accuracy
     final: Accuracy
 
 
@@ -72,7 +72,7 @@ def fit_indirect_light(
         parts = np.zeros(basis.part_count, np.float32)
         light = IndirectLight(basis, start.f, start.g, *gains, parts)
         light = fit_cores(light, data, basis.prior_deviations(start.indirect, mean), ROUGH)
-        return fit_gains(fit_cores(light, data, light.learned_deviations(), accuracies.each), data)
+        return fit_gains(fit_cores(light, data, light.learned_deviations(), accuracies.scale), data)
 
     def cells_to_refine(light: IndirectLight, scale: int) -> Bools:
         # the two coarsest scales cover the whole chart; only finer ones depend on the residual

@@ -65,7 +65,7 @@ def _of_pixels(pictures: Pictures, pixels: slice) -> Pictures:
 
 def _fit_part(means: Float, blocks: PixelBlocks, pictures: Sequence[Pictures]) -> Float:
     """Fit the light (C, n) of some camera pixels."""
-    from rfpipe.methods.multiplexed.kernels import fit_pixels
+    from rfpipe.methods.multiplexed.kernels import PixelPictures, fit_pixels
 
     radiance, variance = (
         np.concatenate([getattr(part, name) for part in pictures]).astype(np.float64)
@@ -77,8 +77,9 @@ def _fit_part(means: Float, blocks: PixelBlocks, pictures: Sequence[Pictures]) -
 
     def fit(image: Double, noise: Double, prior: Double, iterations: int) -> Float:
         noise = noise + np.square(_MODEL_ERROR * image[0])
-        arguments = np.ascontiguousarray(image.T), np.ascontiguousarray(noise.T)
-        fit_pixels(means, blocks.starts, blocks.block, *arguments, prior, iterations, fitted)
+        by_pixel = np.ascontiguousarray(image.T), np.ascontiguousarray(noise.T)
+        pixels = PixelPictures(means, *by_pixel)
+        fit_pixels(pixels, blocks.starts, blocks.block, prior, iterations, fitted)
         return np.maximum(fitted, 0).astype(np.float32)
 
     light = fit(grey, grey_noise, prior, _ITERATIONS)

@@ -11,46 +11,62 @@ the one with the smaller matrix is computed:
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numba
 import numpy as np
 
 from rfpipe.array_types import Double, Float, Index, Numbers
 
-# Variance below which a block's light counts as 0, relative to the squared floodlit pixel.
+# Variance below which a block's light counts as 0, relative to the squared floodlit pixel. With a
+# hundredth of it fits take 1.2 to 1.6 times as long and errors are 2 % smaller; with ten times as
+# much, errors are 4 % larger.
 VANISHING = 1e-7
+
+
+class PixelPictures(NamedTuple):
+    """Pictures of some camera pixels, the floodlit picture first."""
+
+    means: Float  # mean of each pattern over each block of all levels, (P, blocks)
+    radiance: Double  # (pixels, P)
+    noise: Double  # variance of the radiance, (pixels, P)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def fit_pixels(
-    means: Float,
+    pictures: PixelPictures,
     starts: Index,
     blocks: Numbers,
-    radiance: Double,
-    noise: Double,
     variance: Double,
     iterations: int,
     light: Double,
 ) -> None:
     """Fit the light of the blocks of each pixel; write `light`, and `variance` for the next fit.
 
-    Each iteration replaces V by ``max(t, 0)^2 + var(t)``. Shapes: means (P, blocks of all levels);
-    starts (pixels + 1,); blocks, variance and light (n,); radiance and noise (pixels, P), the
-    floodlit picture first.
+    Each iteration replaces V by ``max(t, 0)^2 + var(t)``. Pixel i has the entries
+    ``starts[i]:starts[i + 1]`` of blocks, variance and light, (n,) each.
     """
     for pixel in range(len(starts) - 1):
-        c, N, first = radiance[pixel], noise[pixel], starts[pixel]
-        active = np.arange(first, starts[pixel + 1])
+        c, N = pictures.radiance[pixel], pictures.noise[pixel]
+        active = np.arange(starts[pixel], starts[pixel + 1])
         for _ in range(iterations):
-            A, V = np.empty((len(c), len(active))), variance[active]
-            for p in range(len(c)):
-                for k in range(len(active)):
-                    A[p, k] = means[p, blocks[active[k]]]
-            solve = len(active) < len(c)
-            t, posterior = _block_form(A, c, N, V) if solve else _picture_form(A, c, N, V)
-            light[first : starts[pixel + 1]] = 0
+            A, V = _columns(pictures.means, blocks[active]), variance[active]
+            by_block = len(active) < len(c)
+            t, posterior = _block_form(A, c, N, V) if by_block else _picture_form(A, c, N, V)
+            light[starts[pixel] : starts[pixel + 1]] = 0
             light[active] = t
             variance[active] = np.maximum(t, 0) ** 2 + np.maximum(posterior, 0)
             active = active[variance[active] > VANISHING * c[0] ** 2]
+
+
+@numba.njit(cache=True, nogil=True)
+def _columns(means: Float, blocks: Numbers) -> Double:
+    """Select the columns of some blocks, (P, K)."""
+    A = np.empty((len(means), len(blocks)))
+    for p in range(len(means)):
+        for k in range(len(blocks)):
+            A[p, k] = means[p, blocks[k]]
+    return A
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
