@@ -32,7 +32,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.held_out import HELD_OUT
-from rfpipe.methods.multiplexed.blocks import BlockLevels
+from rfpipe.methods.multiplexed.blocks import block_levels
 from rfpipe.methods.multiplexed.method import coarse_pattern_count
 
 
@@ -85,7 +85,7 @@ _HIERARCHY_MARGIN = 4.0
 
 def hierarchy_patterns(projector: RayDomain, target: float) -> float:
     """Compute the expected number of patterns of a hierarchy for a total error."""
-    return coarse_pattern_count(BlockLevels(projector)) + HIERARCHY_RAYS.at(1, target)
+    return coarse_pattern_count(block_levels(projector)) + HIERARCHY_RAYS.at(1, target)
 
 
 def most_hierarchy_patterns(projector: RayDomain, target: float) -> int:

@@ -6,7 +6,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import next_pattern_count
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, Round
 from rfpipe.methods.held_out import HELD_OUT, HELD_OUT_OF_PRIOR
-from rfpipe.methods.multiplexed.blocks import BlockLevels
+from rfpipe.methods.multiplexed.blocks import block_levels
 
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
 """Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
@@ -22,7 +22,7 @@ Rounds = dict[Phase, tuple[int, ...]]
 def hierarchy_rounds(projector: RayDomain) -> Rounds:
     """Return the rounds of a hierarchy, which chooses their patterns, and of a prior."""
     return {
-        Phase.HIERARCHY: (0,) * (len(BlockLevels(projector)) + HIERARCHY_RAY_ROUNDS),
+        Phase.HIERARCHY: (0,) * (len(block_levels(projector)) + HIERARCHY_RAY_ROUNDS),
         # last, so that a prior doesn't change the random patterns of other phases
         Phase.PRIOR: (0,),
     }

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Bools, Float, Index
+from rfpipe.transport.hierarchical.leaves import ragged_ranges
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -102,8 +103,7 @@ class Candidates:
             return self
         starts, size = self.starts, self.projector_size
         counts = np.diff(starts)[camera_pixels]
-        ends = np.cumsum(counts)
-        index = np.arange(counts.sum()) + np.repeat(starts[camera_pixels] - ends + counts, counts)
+        index = ragged_ranges(starts[camera_pixels], counts)
         keys = np.repeat(np.arange(len(camera_pixels)), counts) * size + self.keys[index] % size
         variance, weights = self.variance[index], self.weights[index]
         return Candidates(len(camera_pixels), size, keys, variance, weights)
@@ -170,15 +170,14 @@ def join_views(parts: Sequence[Candidates]) -> Candidates:
     views = len(parts)
     if views == 1:
         return parts[0]
-    size, starts = parts[0].projector_size, [part.starts for part in parts]
-    counts = np.stack([np.diff(ends) for ends in starts], axis=1)
+    size = parts[0].projector_size
+    counts = np.stack([np.diff(part.starts) for part in parts], axis=1)
     # the candidates of a camera pixel are in the order of views
     first = np.cumsum(counts).reshape(counts.shape) - counts
     total = int(counts.sum())
     keys, (variance, weights) = np.empty(total, np.int64), np.empty((2, total), np.float32)
     for view, part in enumerate(parts):
-        shift = np.repeat(first[:, view] - starts[view][:-1], counts[:, view])
-        place = np.arange(len(part.keys)) + shift
+        place = ragged_ranges(first[:, view], counts[:, view])
         # pixel j of a view has column view * size + j of D: the key i size + j of the view becomes
         # (i views + view) size + j
         keys[place] = part.keys + (part.camera_pixels * (views - 1) + view) * size

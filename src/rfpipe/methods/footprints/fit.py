@@ -61,7 +61,6 @@ from rfpipe.transport.multiscale import coarsest_scale
 # last fit, and for the mean of D and its transpose.
 _LAST_PRIOR, _RECIPROCAL_PRIOR = (1.0, 0.02), (0.05, 0.003)
 
-
 # Before a further search S may be rough. In the last fit of a light field, more iterations at each
 # scale took longer and increased errors by 10 % (2 x 3 views of 36 x 44), since few rays take part;
 # with one view they decreased errors by 4 % (48 x 48).

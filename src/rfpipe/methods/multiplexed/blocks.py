@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,9 @@ from rfpipe.array_types import Blocks, Bools, Float, Index
 from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 from rfpipe.transport.responses import Responses
+
+FEWEST_BLOCKS = 16
+"""Least number of blocks of a level."""
 
 
 class BlockLevels:
@@ -76,8 +78,10 @@ class BlockLevels:
         return lit[:, labels].astype(np.float32)
 
 
-FEWEST_BLOCKS = 16
-"""Least number of blocks of a level."""
+@lru_cache(maxsize=2)
+def block_levels(projector: RayDomain) -> BlockLevels:
+    """Return the levels of a projector, which forecasts and each round need."""
+    return BlockLevels(projector)
 
 
 @dataclass(frozen=True)
@@ -164,8 +168,3 @@ class PixelBlocks:
                 )
             )
         return parts
-
-
-def replaced_light(blocks: PixelBlocks, light: Sequence[Float]) -> PixelBlocks:
-    """Return the same blocks with other light, one array for each channel."""
-    return PixelBlocks(blocks.starts, blocks.block, blocks.expected, np.stack(light))

@@ -19,12 +19,13 @@ Colour channels share their blocks: variances are learned from the sum of the ch
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from rfpipe.array_types import Double, Float
 from rfpipe.methods.images import Pictures
-from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks, replaced_light
+from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks
 from rfpipe.ranges import ranges
 from rfpipe.steps import step, steps
 
@@ -56,7 +57,7 @@ def fit_blocks(
                 [_of_pixels(part, slice(first, last)) for part in pictures],
             )
             step()
-    return replaced_light(blocks, list(light))
+    return replace(blocks, light=light)
 
 
 def _of_pixels(pictures: Pictures, pixels: slice) -> Pictures:

@@ -32,7 +32,7 @@ from rfpipe.methods.base import (
     StateArrays,
 )
 from rfpipe.methods.images import Pictures
-from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks
+from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks, block_levels
 from rfpipe.methods.multiplexed.fit import fit_blocks
 from rfpipe.methods.states import MethodState, joined, level_row, with_prefix, without_prefix
 from rfpipe.patterns import Schedule
@@ -131,7 +131,7 @@ class Multiplexed(Method[MultiplexedState]):
         self, camera: RayDomain, projector: RayDomain, channels: int, options: MultiplexedOptions
     ) -> MultiplexedState:
         """Return the state before the floodlit picture."""
-        levels = BlockLevels(projector)
+        levels = block_levels(projector)
         return MultiplexedState(camera, projector, channels, options, levels=levels)
 
     def next_schedule(self, state: MultiplexedState) -> Schedule | None:
@@ -188,7 +188,7 @@ class Multiplexed(Method[MultiplexedState]):
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
         """Forecast two rounds of single rays, and at most one pattern a ray."""
-        levels = len(BlockLevels(projector))
+        levels = len(block_levels(projector))
         patterns = 1 + sum(pattern_count(number, levels) for number in range(levels + 1))
         return self.forecast_of(camera, channels, min(patterns, projector.size), projector.size)
 
