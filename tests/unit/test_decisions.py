@@ -165,6 +165,15 @@ def test_a_scene_that_footprints_do_not_fit_ends_at_a_limit_of_patterns() -> Non
     assert decision(Footprints(), limited, Phase.MODEL, False) == (None, NOT_SUITABLE)
 
 
+def test_a_tight_target_of_indirect_light_tightens_the_hierarchy() -> None:
+    tolerances = []
+    for indirect in (None, 0.3, 0.03):
+        state = after_model_rounds(NearFar(), [0.12], 0.01)
+        options = ErrorOptions(target_error=0.01, target_indirect=indirect)
+        tolerances.append(hierarchy_start(replace(state, options=options)).options.tolerance)
+    assert tolerances[0] == tolerances[1] > tolerances[2]
+
+
 def after_hierarchy_rounds(counts: Sequence[int], errors: Sequence[float]) -> AdaptiveState:
     """Return the state of near/far acquisition after rounds of a hierarchy."""
     before = after_model_rounds(NearFar(), [0.12], 0.01)

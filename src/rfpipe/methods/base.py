@@ -49,6 +49,9 @@ radiance, variance and pattern, and copies of them during a fit."""
 LIBRARY_BYTES = 200_000_000
 """Memory of Python and its libraries, part of every forecast."""
 
+# Typical error of indirect light over the total error.
+_INDIRECT_RATIO = 6.0
+
 
 class Options(MethodSettings):
     """Options that every method has; methods derive their own from it.
@@ -92,6 +95,13 @@ class ErrorOptions(Options):
     def error_target(self) -> float:
         """Target of the estimated error, `target_error`."""
         return self.target_error
+
+    @property
+    def total_target(self) -> float:
+        """Total error that typically meets both targets, of all light and of indirect light."""
+        if self.target_indirect is None:
+            return self.target_error
+        return min(self.target_error, self.target_indirect / _INDIRECT_RATIO)
 
     @property
     def prior_path(self) -> str | None:

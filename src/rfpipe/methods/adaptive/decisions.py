@@ -16,7 +16,6 @@ from rfpipe.methods.adaptive.forecast import (
     hierarchy_patterns,
     most_hierarchy_patterns,
     patterns_to_target,
-    target_of,
 )
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase
 
@@ -86,7 +85,8 @@ def is_nearly_met(state: AdaptiveState) -> bool:
 
 def exceeds_hierarchy(state: AdaptiveState) -> bool:
     """Test whether the target takes more patterns by further rounds than by a hierarchy."""
-    return patterns_to_target(state) > hierarchy_patterns(state.projector, target_of(state.options))
+    hierarchy = hierarchy_patterns(state.projector, state.options.total_target)
+    return patterns_to_target(state) > hierarchy
 
 
 def end(state: AdaptiveState) -> Decision | None:
@@ -115,7 +115,7 @@ def after_hierarchy_round(state: AdaptiveState) -> Decision:
     assert inner is not None
     if inner.is_complete:
         return Decision(None, ALL_SHOWN)
-    rays, target = state.projector.size, target_of(state.options)
+    rays, target = state.projector.size, state.options.total_target
     # rounds of single rays follow those of the coarser levels; three errors show how they fall
     has_trend = len(state.hierarchy_levels) >= len(inner.levels) + 2
     is_slow = has_trend and patterns_to_target(state) > rays

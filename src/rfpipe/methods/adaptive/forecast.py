@@ -73,9 +73,6 @@ With it, 31 of 36 forecasts of all patterns after the first round of the tuning 
 after the second, are within a factor of 1.5; on the test scenes 8 of 13 and 6 of 8.
 """
 
-INDIRECT_RATIO = 6.0
-"""Typical error of indirect light over the total error."""
-
 HIERARCHY_RAYS = PatternLaw(48.0, 0.8)
 """Patterns of single rays of the hierarchy, below its coarser levels, by target error."""
 
@@ -93,12 +90,6 @@ def most_hierarchy_patterns(projector: RayDomain, target: float) -> int:
     return min(round(_HIERARCHY_MARGIN * hierarchy_patterns(projector, target)), projector.size)
 
 
-def target_of(options: ErrorOptions) -> float:
-    """Compute the total error that meets both targets, of all light and of indirect light."""
-    indirect = options.target_indirect or np.inf
-    return float(min(options.target_error, indirect / INDIRECT_RATIO))
-
-
 def most_patterns(projector: RayDomain, random_patterns: int, options: ErrorOptions) -> int:
     """Bound the number of patterns of all phases.
 
@@ -109,7 +100,7 @@ def most_patterns(projector: RayDomain, random_patterns: int, options: ErrorOpti
         Largest number of random patterns of all rounds.
     options : ErrorOptions
     """
-    hierarchy = most_hierarchy_patterns(projector, target_of(options))
+    hierarchy = most_hierarchy_patterns(projector, options.total_target)
     total = 1 + len(HELD_OUT) + random_patterns + hierarchy
     return min(total, options.patterns or total)
 
@@ -151,7 +142,7 @@ def remaining_patterns(state: AdaptiveState) -> int:
     coming, shown = state.next_round, state.patterns_shown
     if coming is None:
         return 0
-    target = target_of(state.options)
+    target = state.options.total_target
     hierarchy = hierarchy_patterns(state.projector, target)
     if coming.phase is Phase.HIERARCHY:
         of_hierarchy = sum(state.rows[level]["patterns"] for level in state.hierarchy_levels)

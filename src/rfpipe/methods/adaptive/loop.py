@@ -40,7 +40,6 @@ from rfpipe.methods.adaptive.forecast import (
     UPPER_QUARTILE,
     most_patterns,
     remaining_patterns,
-    target_of,
 )
 from rfpipe.methods.adaptive.model import AdaptiveModel
 from rfpipe.methods.adaptive.prior import USEFUL_PRIOR, pooled_estimate
@@ -351,7 +350,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         random_patterns = random_pattern_count(self.rounds(projector))
         largest = most_patterns(projector, random_patterns, options)
         lower, patterns, upper = (
-            min(round(law.at(projector.views, target_of(options))), projector.size, largest)
+            min(round(law.at(projector.views, options.total_target)), projector.size, largest)
             for law in (LOWER_QUARTILE, EXPECTED, UPPER_QUARTILE)
         )
         forecast = self.forecast_of(camera, channels, patterns, largest)
