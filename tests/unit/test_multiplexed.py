@@ -57,6 +57,9 @@ def ray_patterns(rounds: int, levels: int) -> int:
 class TestSeveralLevels(MethodContract):
     """Projectors with a level of blocks above that of single rays."""
 
+    # smooth light from all rays to all pixels is not what the method assumes
+    error = 0.15
+
     def make_method(self) -> Multiplexed:
         return Multiplexed()
 
@@ -118,7 +121,8 @@ def test_projectors_of_few_rays_are_acquired(shape: tuple[int, ...]) -> None:
     rays = RayDomain(shape).size
     matrix = np.random.default_rng(0).random((7, rays))
     run = acquire_matrix(Multiplexed(), matrix, (7, 1), shape, tolerance=0.01)
-    np.testing.assert_allclose(dense(run.transport)[0], matrix, atol=0.02)
+    difference = np.abs(dense(run.transport)[0] - matrix)
+    assert (difference < 0.01 * matrix.sum(axis=1, keepdims=True)).all()
 
 
 def test_a_dark_scene_ends_after_two_rounds_of_single_rays() -> None:
@@ -194,7 +198,7 @@ def test_a_run_of_several_levels_continues_from_stored_arrays() -> None:
 
 def test_rounds_end_once_the_pictures_of_a_round_are_predicted() -> None:
     levels = BlockLevels(RayDomain(SHAPE))
-    least = 1 + coarse_pattern_count(levels) + ray_patterns(2, len(levels))
+    least = 1 + coarse_pattern_count(levels) + ray_patterns(3, len(levels))
     sparse = acquire_matrix(Multiplexed(), sparse_matrix(80, RAYS), (8, 10), SHAPE, tolerance=0.01)
     assert sum(sparse.patterns) == least
     # 60 rays light each pixel: more rounds follow, fewer with a larger tolerance
@@ -217,7 +221,7 @@ def test_rounds_end_at_one_pattern_a_ray() -> None:
     assert sum(run.patterns[:-1]) < 72
 
 
-def test_the_forecast_has_two_rounds_of_single_rays() -> None:
+def test_the_forecast_has_three_rounds_of_single_rays() -> None:
     method, rays = Multiplexed(), RayDomain(SHAPE)
     forecast = method.forecast(rays, rays, 1, options_of(method))
     run = acquire_matrix(method, sparse_matrix(80, RAYS), (8, 10), SHAPE, tolerance=0.01)
@@ -286,11 +290,12 @@ def test_both_forms_of_the_regression_agree_with_the_posterior(pictures: int, bl
 
 
 def test_iterations_of_the_regression_agree_with_numpy() -> None:
-    """Pixels have no block, fewer blocks than pictures, or more."""
+    """Pixels have no block, fewer blocks than pictures, or more; two patterns divide blocks."""
     random = np.random.default_rng(0)
     pictures, counts = 12, (0, 4, 30)
     means = (random.random((pictures, 40)) < 0.5).astype(np.float32)
     means[0] = 1
+    means[5:7] = 0.3
     starts = np.concatenate([[0], np.cumsum(counts)])
     blocks = np.concatenate([random.permutation(40)[:count] for count in counts]).astype(np.int32)
     true = np.where(random.random(len(blocks)) < 0.2, random.uniform(0.5, 1, len(blocks)), 0)
@@ -303,9 +308,11 @@ def test_iterations_of_the_regression_agree_with_numpy() -> None:
         active, V = np.arange(first, last), variance.copy()
         for _ in range(3):
             A = means[:, blocks[active]].astype(np.float64)
-            t, of_t = posterior(A, radiance[pixel], noise[pixel], V[active])
+            within_blocks = (A * (1 - A)) @ V[active]
+            t, of_t = posterior(A, radiance[pixel], noise[pixel] + within_blocks, V[active])
             expected[first:last] = 0
-            expected[active], V[active] = t, np.maximum(t, 0) ** 2 + of_t
+            expected[active] = t
+            V[active] *= ((np.maximum(t, 0) ** 2 + of_t) / V[active]) ** 1.8
             active = active[V[active] > VANISHING * radiance[pixel, 0] ** 2]
     light = np.zeros(len(blocks))
     pictures = PixelPictures(means, radiance, noise)

@@ -167,7 +167,11 @@ def test_a_state_with_a_hierarchy_is_restored() -> None:
     states = suite._run(suite._matrix()).states
     rounds = [state.next_round for state in states]
     assert any(coming is not None and coming.phase is Phase.HIERARCHY for coming in rounds)
-    assert states[-1].hierarchy_state.blocks is not None
+    hierarchy = states[-1].hierarchy_state
+    assert hierarchy.blocks is not None
+    # besides its own pictures, the hierarchy is fitted to those of the model's rounds
+    used = sum(len(part.lit) for part in hierarchy.pictures)
+    assert used == states[-1].patterns_shown - len(HELD_OUT)
     suite.test_a_state_is_restored_from_its_arrays()
 
 

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.model import AdaptiveModel
+from rfpipe.methods.footprints.method import FootprintModel
 from rfpipe.methods.footprints.pictures import PackedPictures, radiance_unit, split_pictures
 from rfpipe.methods.images import Pictures
+from rfpipe.methods.near_far.method import NearFarModel
 from rfpipe.methods.near_far.pictures import MOST_CELLS, SplitPictures, fit_cells
 from rfpipe.transport.wavelet import Cells
 
@@ -76,6 +81,43 @@ def test_packed_pictures_are_rounded_less_than_the_error_of_any_model() -> None:
         np.testing.assert_array_equal(one.radiance, all_pixels.radiance[some])
         np.testing.assert_array_equal(one.variance, all_pixels.variance[some])
     np.testing.assert_array_equal(view.first()[0], view.radiance[:, 0])
+
+
+def near_far_model(floodlit: Pictures) -> NearFarModel:
+    return NearFarModel.of(floodlit.with_masked_filled(SHAPE), SHAPE, None)
+
+
+def footprint_model(floodlit: Pictures) -> FootprintModel:
+    rays = RayDomain(SHAPE)
+    return FootprintModel.of(floodlit, rays, rays, limit=0, prior=None)
+
+
+@pytest.mark.parametrize("make", [near_far_model, footprint_model])
+def test_prepared_pictures_are_known_as_they_were_taken(
+    make: Callable[[Pictures], AdaptiveModel],
+) -> None:
+    pictures = some_pictures(6, 35, masked=8)
+    model = make(pictures.select(slice(0, 1)))
+    taken = model.taken(model.prepared(pictures.probes), pictures.lit[1:])
+    assert taken is not None
+    np.testing.assert_array_equal(taken.lit, pictures.lit[1:])
+    np.testing.assert_array_equal(np.isinf(taken.variance), np.isinf(pictures.variance[1:]))
+    np.testing.assert_allclose(taken.radiance, pictures.radiance[1:], rtol=1e-3, atol=1e-4)
+    known = np.arange(35) != 8
+    # the sum of two variances is rounded to float32
+    rounding = 1e-6 * pictures.variance[0][:, known].max()
+    np.testing.assert_allclose(
+        taken.variance[..., known], pictures.variance[1:, :, known], rtol=0.07, atol=rounding
+    )
+
+
+def test_sums_over_larger_cells_do_not_tell_the_pictures() -> None:
+    shape = (512, 512)
+    floodlit = Pictures(*(np.ones((1, *size), kind) for size, kind in (
+        ((512**2,), np.bool_), ((1, 512**2), np.float32), ((1, 512**2), np.float32)
+    )))  # fmt: skip
+    model = NearFarModel.of(floodlit, shape, None)
+    assert model.taken(model.prepared(floodlit), floodlit.lit) is None
 
 
 def test_packed_pictures_of_several_views_are_split_by_the_view_that_they_light() -> None:

@@ -61,6 +61,11 @@ def without_prefix(prefix: str, arrays: Arrays) -> LazyArrays:
     return LazyArrays(names, lambda name: arrays[f"{prefix}{name}"])
 
 
+def picture_count(pictures: Any) -> int:
+    """Return the number of pictures in a dataclass whose arrays have a picture a row."""
+    return len(getattr(pictures, fields(pictures)[0].name))
+
+
 def joined(parts: Sequence[Group], axis: int = -1) -> Group:
     """Concatenate the arrays of dataclasses, field by field; `parts` isn't empty."""
     if len(parts) == 1:

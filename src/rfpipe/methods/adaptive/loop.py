@@ -65,7 +65,7 @@ from rfpipe.methods.images import Pictures, ScheduledImages
 from rfpipe.methods.residual.fit import fit_residual
 from rfpipe.methods.residual.model import CameraCells, residual_cells
 from rfpipe.methods.residual.patterns import block_patterns
-from rfpipe.methods.states import joined, level_row
+from rfpipe.methods.states import joined, level_row, picture_count
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
 from rfpipe.transport.sum import SumTransport
@@ -251,7 +251,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     # --- the hierarchy
 
     def _start_hierarchy(self, state: AdaptiveState) -> AdaptiveState:
-        """Hand the floodlit picture over to the hierarchy."""
+        """Hand the floodlit picture over to the hierarchy, and those of the model's rounds."""
         pictures, shape = _floodlit(state), (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(images[0].T).reshape(shape)
@@ -260,7 +260,20 @@ class AdaptiveMethod(Method[AdaptiveState]):
         schedule = Schedule.floodlit(state.projector.shape)
         floodlit = ScheduledImages(schedule, lambda *_: (radiance, variance))
         inner = HIERARCHY_METHOD.refine(hierarchy_start(state), floodlit)
+        earlier = self._pictures_of_model(state)
+        if earlier is not None:
+            inner = replace(inner, pictures=(*inner.pictures, earlier))
         return replace(state, hierarchy_state=inner)
+
+    def _pictures_of_model(self, state: AdaptiveState) -> Pictures | None:
+        """Return the pictures of the model's rounds without the floodlit one, where known."""
+        random = state.pictures[1:]
+        if not random or state.cell_pictures is None:
+            return None
+        # patterns of a residual follow those of the model
+        prepared = joined(random, axis=0)
+        lit = state.cell_pictures.lit[1 : 1 + picture_count(prepared)]
+        return self._model(state).taken(prepared, lit)
 
     def _after_hierarchy_level(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int

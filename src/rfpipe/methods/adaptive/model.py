@@ -35,6 +35,12 @@ class AdaptiveModel(Protocol):
     def prepared(self, pictures: Pictures) -> Any:
         """Return pictures as `fit` takes them: a dataclass of arrays, pictures first."""
 
+    def taken(self, prepared: Any, lit: Bools) -> Pictures | None:
+        """Return `prepared` pictures of the patterns `lit` (P, N) as they were taken.
+
+        None if that isn't known: the model keeps sums over cells, or subtracts a prior's light.
+        """
+
     def fit(self, pictures: Sequence[Any]) -> Self:
         """Fit the model to all `prepared` pictures so far; the first of them is floodlit."""
 

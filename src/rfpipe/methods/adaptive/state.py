@@ -16,7 +16,7 @@ from rfpipe.methods.error_estimate import Estimate
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.multiplexed.method import Multiplexed, MultiplexedOptions, MultiplexedState
 from rfpipe.methods.residual.model import CellPictures, Residual
-from rfpipe.methods.states import MethodState, joined, with_prefix, without_prefix
+from rfpipe.methods.states import MethodState, joined, picture_count, with_prefix, without_prefix
 from rfpipe.transport.base import Transport
 
 STOPPING_FRACTION = 0.95
@@ -281,9 +281,8 @@ def _round(phase: str, **numbers: int) -> Round:
 
 def _new_pictures(pictures: Any, before: Any) -> dict[str, NDArray[Any]]:
     """Return the arrays of pictures without those that there were before, None for none."""
-    names = [entry.name for entry in fields(pictures)]
-    first = 0 if before is None else len(getattr(before, names[0]))
-    return {name: getattr(pictures, name)[first:] for name in names}
+    first = 0 if before is None else picture_count(before)
+    return {entry.name: getattr(pictures, entry.name)[first:] for entry in fields(pictures)}
 
 
 def _residual_arrays(residual: Residual) -> dict[str, NDArray[Any]]:

@@ -195,6 +195,10 @@ class FootprintModel:
         """Pack pictures."""
         return PackedPictures.of(pictures, self.unit)
 
+    def taken(self, prepared: PackedPictures, lit: Bools) -> Pictures:
+        """Unpack pictures."""
+        return prepared.unpacked(lit, self.unit)
+
     def fit(self, pictures: Sequence[PackedPictures]) -> Self:
         """Fit footprints and indirect light to all pictures."""
         arrays, footprints = fit_pictures(

@@ -186,6 +186,12 @@ class PackedPictures:
         """Number of colour channels."""
         return int(self.radiance.shape[1])
 
+    def unpacked(self, lit: Bools, unit: float) -> Pictures:
+        """Return the pictures, of the patterns `lit` (P, N), with radiance times a unit."""
+        scale = np.float32(unit)
+        radiance = self.radiance.astype(np.float32) * scale
+        return Pictures(lit, radiance, _VARIANCES[self.variance] * scale**2)
+
     def select(self, index: int) -> PackedPictures:
         """Select a picture; arrays are views."""
         one = slice(index, index + 1)

@@ -10,8 +10,9 @@ from the pictures by expectation maximisation: the variances of blocks that expl
 vanish, so that few pictures determine the few blocks that light a pixel. Negative light counts as 0
 [Tipping, *Sparse Bayesian learning and the relevance vector machine*, JMLR 2001].
 
-A pattern that divides a block is correct only if the block's light is distributed evenly. Patterns
-of coarser levels divide no block, so that all earlier pictures remain exact on finer levels.
+Patterns of coarser levels divide no block of a finer level. A pattern of another method that
+divides blocks tells less of them: where their light is within them is not known. Its picture has
+that variance besides its noise.
 
 Colour channels share their blocks: variances are learned from the sum of the channels.
 """

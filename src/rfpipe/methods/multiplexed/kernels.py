@@ -24,6 +24,11 @@ from rfpipe.array_types import Double, Float, Index, Numbers
 VANISHING = 1e-7
 
 
+# Power of the factor of expectation maximisation by which variances change. Ten iterations with it
+# leave the errors of twenty with a power of 1.
+_POWER = 1.8
+
+
 class PixelPictures(NamedTuple):
     """Pictures of some camera pixels, the floodlit picture first."""
 
@@ -43,19 +48,22 @@ def fit_pixels(
 ) -> None:
     """Fit the light of the blocks of each pixel; write `light`, and `variance` for the next fit.
 
-    Each iteration replaces V by ``max(t, 0)^2 + var(t)``. Pixel i has the entries
-    ``starts[i]:starts[i + 1]`` of blocks, variance and light, (n,) each.
+    Each iteration changes V by a power of the factor ``(max(t, 0)^2 + var(t)) / V`` of expectation
+    maximisation, which converges slowly. Pixel i has the entries ``starts[i]:starts[i + 1]`` of
+    blocks, variance and light, (n,) each.
     """
     for pixel in range(len(starts) - 1):
-        c, N = pictures.radiance[pixel], pictures.noise[pixel]
+        c = pictures.radiance[pixel]
         active = np.arange(starts[pixel], starts[pixel + 1])
         for _ in range(iterations):
             A, V = _columns(pictures.means, blocks[active]), variance[active]
+            N = pictures.noise[pixel] + _variance_within_blocks(A, V)
             by_block = len(active) < len(c)
             t, posterior = _block_form(A, c, N, V) if by_block else _picture_form(A, c, N, V)
             light[starts[pixel] : starts[pixel + 1]] = 0
             light[active] = t
-            variance[active] = np.maximum(t, 0) ** 2 + np.maximum(posterior, 0)
+            factor = (np.maximum(t, 0) ** 2 + np.maximum(posterior, 0)) / V
+            variance[active] *= factor**_POWER
             active = active[variance[active] > VANISHING * c[0] ** 2]
 
 
@@ -67,6 +75,20 @@ def _columns(means: Float, blocks: Numbers) -> Double:
         for k in range(len(blocks)):
             A[p, k] = means[p, blocks[k]]
     return A
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _variance_within_blocks(A: Double, V: Double) -> Double:
+    """Compute the variance of pictures whose patterns divide blocks, (P,).
+
+    The light of a block comes from one of its rays: a pattern that lights a share a of the block
+    shows all of it with the probability a, and the variance is ``a (1 - a) V``.
+    """
+    variance = np.zeros(len(A))
+    for p in range(len(A)):
+        for k in range(len(V)):
+            variance[p] += A[p, k] * (1 - A[p, k]) * V[k]
+    return variance
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)

@@ -16,6 +16,7 @@ from typing import Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from rfpipe.array_types import Bools
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
     NOT_SUITABLE,
@@ -110,6 +111,12 @@ class NearFarModel:
         if self.prior is not None:
             pictures = without_indirect_light(pictures, self.prior)
         return SplitPictures.of(fit_cells(self.shape), self.floodlit, pictures)
+
+    def taken(self, prepared: SplitPictures, lit: Bools) -> Pictures | None:
+        """Add lit and dark pixels up again, where each cell is a single pixel."""
+        if self.prior is not None or fit_cells(self.shape).side > 1:
+            return None
+        return prepared.of_pixels(self.floodlit, lit)
 
     def fit(self, pictures: Sequence[SplitPictures]) -> Self:
         """Fit the indirect light to all pictures."""

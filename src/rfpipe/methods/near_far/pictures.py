@@ -30,12 +30,14 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import Bools, Float
 from rfpipe.methods.images import Pictures
 from rfpipe.transport.wavelet import Cells, cell_side
 
 MOST_CELLS = 2**17
 """Largest number of cells. A fit to 30 RGB pictures then takes about 1 GB."""
+
+_TINY = np.finfo(np.float32).tiny
 
 
 @lru_cache(maxsize=2)
@@ -90,6 +92,19 @@ class SplitPictures:
                 total[index] = cells.total(image).T
         dark_count = np.count_nonzero(~pictures.lit & known, axis=1)
         return cls(light, dark, excess, dark_variance, lit_variance, dark_count)
+
+    def of_pixels(self, floodlit: Pictures, lit: Bools) -> Pictures:
+        """Return the pictures of the patterns `lit` (P, N); each cell must be a single pixel."""
+        is_lit, known, noise = lit[:, None], floodlit.known, floodlit.variance[0]
+        radiance = np.where(is_lit, self.excess + floodlit.floodlit, self.dark)
+        # the rounding of the sum of both variances can exceed a small one
+        of_lit = np.maximum(self.lit_variance - noise, _TINY)
+        variance = np.where(is_lit, of_lit, self.dark_variance)
+        return Pictures(
+            lit,
+            np.where(known, radiance, np.float32(0)),
+            np.where(known, variance, np.float32(np.inf)),
+        )
 
     @property
     def channels(self) -> int:
