@@ -31,7 +31,7 @@ EXTRAPOLATION_MARGIN = 1.1
 
 NEARLY = 1.2
 """An error of at most this many times 95 % of the target isn't given up for a hierarchy, which
-starts from the floodlit picture alone and takes at least two rounds of single rays."""
+takes a round for each level and at least two of single rays."""
 
 MOSTLY_NOISE = 1.5
 """An error of at most this many times the noise of the floodlit image is mostly that noise."""

@@ -13,8 +13,9 @@ variance      `variance`        (K,)    their prior variances, radiance squared
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -185,23 +186,24 @@ def join_views(parts: Sequence[Candidates]) -> Candidates:
     return Candidates(parts[0].camera_size, views * size, keys, variance, weights)
 
 
-def split_views(candidates: Candidates, views: int) -> list[Candidates]:
+def split_views(candidates: Candidates, views: int) -> Iterator[Candidates]:
     """Split candidates on all projector views by view, the inverse of `join_views`."""
+    from rfpipe.methods.footprints.kernels import views_of
+
     if views == 1:
-        return [candidates]
+        yield candidates
+        return
     size = candidates.projector_size // views
-    view_of = (candidates.keys % candidates.projector_size // size).astype(np.int16)
-    parts = []
+    view_of = views_of(candidates.keys, size, views)
     for view in range(views):
         mask = view_of == view
         keys = candidates.keys[mask]
         # the keys of `join_views`, solved for i size + j
         keys -= (keys // candidates.projector_size * (views - 1) + view) * size
         variance, weights = candidates.variance[mask], candidates.weights[mask]
-        parts.append(Candidates(candidates.camera_size, size, keys, variance, weights))
-    return parts
+        yield Candidates(candidates.camera_size, size, keys, variance, weights)
 
 
 def on_view(candidates: Candidates, view: int, views: int) -> Candidates:
     """Return the candidates on one of the projector's views, numbered from 0."""
-    return split_views(candidates, views)[view]
+    return next(islice(split_views(candidates, views), view, None))

@@ -6,6 +6,7 @@ have their symbols.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -331,23 +332,80 @@ def apply_triangles(triangles: Float, pictures: Float) -> Float:
 
 
 @njit(cache=True, nogil=True)
-def merge_keys(first: Index, second: Index) -> tuple[Index, Index, Index]:
-    """Merge two ascending arrays of distinct keys.
+def views_of(keys: Index, size: int, views: int) -> NDArray[np.int16]:
+    """Return the projector view of each candidate, (K,); each view has `size` pixels."""
+    view = np.empty(len(keys), np.int16)
+    for k in range(len(keys)):
+        view[k] = keys[k] // size % views
+    return view
 
-    Returns the distinct keys of both, ascending, and the positions of each array's keys in them.
+
+class TransposedCandidates(NamedTuple):
+    """Candidates of D and of ``D^T``: keys, variances, and the weights of both matrices."""
+
+    keys: Index
+    variance: Float
+    weights: Float
+    transposed: Float
+
+
+@njit(cache=True, nogil=True)
+def with_transposed_candidates(
+    keys: Index, variance: Float, weights: Float, size: int
+) -> TransposedCandidates:
+    """Merge the candidates of D, (size, size), with those of ``D^T`` that have light.
+
+    The variance is the larger one of an entry and of its transposed one with light. A light field
+    has tens of millions of candidates; no array but the results and an int32 has that length.
     """
-    union = np.empty(len(first) + len(second), np.int64)
-    positions = np.empty(len(first), np.int64), np.empty(len(second), np.int64)
-    a = b = count = 0
-    while a < len(first) or b < len(second):
-        takes_second = a == len(first) or (b < len(second) and second[b] <= first[a])
-        takes_first = b == len(second) or (a < len(first) and first[a] <= second[b])
-        union[count] = first[a] if takes_first else second[b]
-        if takes_first:
-            positions[0][a] = count
-            a += 1
-        if takes_second:
-            positions[1][b] = count
-            b += 1
+    by_column = _entries_by_column(keys, weights, size)
+    count = 0
+    for _ in _merged(keys, by_column, size):
         count += 1
-    return union[:count], positions[0], positions[1]
+    merged = TransposedCandidates(
+        np.empty(count, np.int64),
+        np.zeros(count, np.float32),
+        np.zeros(count, np.float32),
+        np.zeros(count, np.float32),
+    )
+    for n, (key, entry, mirrored) in enumerate(_merged(keys, by_column, size)):
+        merged.keys[n] = key
+        if entry >= 0:
+            merged.weights[n], merged.variance[n] = weights[entry], variance[entry]
+        if mirrored >= 0:
+            merged.transposed[n] = weights[mirrored]
+            merged.variance[n] = max(merged.variance[n], variance[mirrored])
+    return merged
+
+
+@njit(cache=True, nogil=True)
+def _entries_by_column(keys: Index, weights: Float, size: int) -> Int32:
+    """Return the numbers of the candidates with light, by column and then by row."""
+    starts = np.zeros(size + 1, np.int64)
+    for k in range(len(keys)):
+        if weights[k] > 0:
+            starts[keys[k] % size + 1] += 1
+    starts = np.cumsum(starts)
+    entries = np.empty(starts[-1], np.int32)
+    for k in range(len(keys)):
+        if weights[k] > 0:
+            column = keys[k] % size
+            entries[starts[column]] = k
+            starts[column] += 1
+    return entries
+
+
+@njit(cache=True, nogil=True)
+def _merged(keys: Index, by_column: Int32, size: int) -> Iterator[tuple[int, int, int]]:
+    """Yield the keys of D and ``D^T``, ascending, and their entries in both, -1 for none."""
+    a = b = 0
+    while a < len(keys) or b < len(by_column):
+        direct = mirrored = size * size
+        if a < len(keys):
+            direct = keys[a]
+        if b < len(by_column):
+            key = keys[by_column[b]]
+            mirrored = key % size * size + key // size  # i N + j becomes j N + i
+        in_direct, in_mirrored = direct <= mirrored, mirrored <= direct
+        yield min(direct, mirrored), a if in_direct else -1, by_column[b] if in_mirrored else -1
+        a, b = a + in_direct, b + in_mirrored

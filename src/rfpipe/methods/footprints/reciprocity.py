@@ -81,20 +81,9 @@ def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]
 
     The variance is the larger one of an entry and of its transposed one with light. M = N.
     """
-    from rfpipe.methods.footprints.kernels import merge_keys
+    from rfpipe.methods.footprints.kernels import with_transposed_candidates
 
-    size = footprints.projector_size
-    keys = footprints.keys
-    # order of the entries by columns, which is the order of the transposed keys
-    order = footprints.matrix(np.arange(len(keys), dtype=np.int32)).tocsc().data
-    order = order[footprints.weights[order] > 0]
-    mirrored = keys[order]
-    mirrored = mirrored % size * size + mirrored // size  # i N + j becomes j N + i
-    union, index, mirrored_index = merge_keys(keys, mirrored)
-    variance, direct, transposed = np.zeros((3, len(union)), np.float32)
-    direct[index], transposed[mirrored_index] = footprints.weights, footprints.weights[order]
-    variance[index] = footprints.variance
-    variance[mirrored_index] = np.maximum(variance[mirrored_index], footprints.variance[order])
-    # a copy, since the union is the beginning of a longer array
-    completed = replace(footprints, keys=union.copy(), variance=variance, weights=direct)
-    return completed, transposed
+    keys, variance, weights, transposed = with_transposed_candidates(
+        footprints.keys, footprints.variance, footprints.weights, footprints.projector_size
+    )
+    return replace(footprints, keys=keys, variance=variance, weights=weights), transposed
