@@ -52,7 +52,7 @@ def hierarchy_patterns(factor: float) -> list[Change]:
 
 def hierarchy_tolerance(factor: float) -> list[Change]:
     """Multiply the tolerance of the hierarchy."""
-    return [(state, "_HIERARCHY_TOLERANCE", factor * state._HIERARCHY_TOLERANCE)]
+    return [(state, "HIERARCHY_TOLERANCE", factor * state.HIERARCHY_TOLERANCE)]
 
 
 def wrong_model(factor: float) -> list[Change]:

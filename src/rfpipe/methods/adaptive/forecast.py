@@ -29,7 +29,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.adaptive.state import AdaptiveState, Phase
+from rfpipe.methods.adaptive.state import HIERARCHY_TOLERANCE, AdaptiveState, Phase
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.held_out import HELD_OUT
 from rfpipe.methods.multiplexed.blocks import block_levels
@@ -82,7 +82,9 @@ _HIERARCHY_MARGIN = 4.0
 
 def hierarchy_patterns(projector: RayDomain, target: float) -> float:
     """Compute the expected number of patterns of a hierarchy for a total error."""
-    return coarse_pattern_count(block_levels(projector)) + HIERARCHY_RAYS.at(1, target)
+    tolerance = HIERARCHY_TOLERANCE * target
+    of_rays = HIERARCHY_RAYS.at(1, target)
+    return coarse_pattern_count(block_levels(projector), tolerance) + of_rays
 
 
 def most_hierarchy_patterns(projector: RayDomain, target: float) -> int:

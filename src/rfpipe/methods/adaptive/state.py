@@ -30,8 +30,8 @@ results have an error of at most 1.2 times the target.
 HIERARCHY_METHOD = Multiplexed()
 """Method of the hierarchy."""
 
-# Tolerance of the hierarchy, relative to the target of the total error.
-_HIERARCHY_TOLERANCE = 0.2
+HIERARCHY_TOLERANCE = 0.2
+"""Tolerance of the hierarchy, relative to the target of the total error."""
 
 
 class Phase(StrEnum):
@@ -258,7 +258,7 @@ def hierarchy_start(state: AdaptiveState) -> MultiplexedState:
     """Return the state of the hierarchy before its floodlit level."""
     options = options_of(
         HIERARCHY_METHOD,
-        tolerance=_HIERARCHY_TOLERANCE * state.options.total_target,
+        tolerance=HIERARCHY_TOLERANCE * state.options.total_target,
         noise_significance=state.options.noise_significance,
     )
     assert isinstance(options, MultiplexedOptions)

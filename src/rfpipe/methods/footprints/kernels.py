@@ -6,7 +6,6 @@ have their symbols.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -359,22 +358,26 @@ def with_transposed_candidates(
     has tens of millions of candidates; no array but the results and an int32 has that length.
     """
     by_column = _entries_by_column(keys, weights, size)
-    count = 0
-    for _ in _merged(keys, by_column, size):
-        count += 1
+    a = b = count = 0
+    while a < len(keys) or b < len(by_column):
+        _, in_direct, in_mirrored = _next_key(keys, by_column, size, a, b)
+        a, b, count = a + in_direct, b + in_mirrored, count + 1
     merged = TransposedCandidates(
         np.empty(count, np.int64),
         np.zeros(count, np.float32),
         np.zeros(count, np.float32),
         np.zeros(count, np.float32),
     )
-    for n, (key, entry, mirrored) in enumerate(_merged(keys, by_column, size)):
-        merged.keys[n] = key
-        if entry >= 0:
-            merged.weights[n], merged.variance[n] = weights[entry], variance[entry]
-        if mirrored >= 0:
-            merged.transposed[n] = weights[mirrored]
-            merged.variance[n] = max(merged.variance[n], variance[mirrored])
+    a = b = 0
+    for n in range(count):
+        merged.keys[n], in_direct, in_mirrored = _next_key(keys, by_column, size, a, b)
+        if in_direct:
+            merged.weights[n], merged.variance[n] = weights[a], variance[a]
+        if in_mirrored:
+            entry = by_column[b]
+            merged.transposed[n] = weights[entry]
+            merged.variance[n] = max(merged.variance[n], variance[entry])
+        a, b = a + in_direct, b + in_mirrored
     return merged
 
 
@@ -396,16 +399,12 @@ def _entries_by_column(keys: Index, weights: Float, size: int) -> Int32:
 
 
 @njit(cache=True, nogil=True)
-def _merged(keys: Index, by_column: Int32, size: int) -> Iterator[tuple[int, int, int]]:
-    """Yield the keys of D and ``D^T``, ascending, and their entries in both, -1 for none."""
-    a = b = 0
-    while a < len(keys) or b < len(by_column):
-        direct = mirrored = size * size
-        if a < len(keys):
-            direct = keys[a]
-        if b < len(by_column):
-            key = keys[by_column[b]]
-            mirrored = key % size * size + key // size  # i N + j becomes j N + i
-        in_direct, in_mirrored = direct <= mirrored, mirrored <= direct
-        yield min(direct, mirrored), a if in_direct else -1, by_column[b] if in_mirrored else -1
-        a, b = a + in_direct, b + in_mirrored
+def _next_key(keys: Index, by_column: Int32, size: int, a: int, b: int) -> tuple[int, bool, bool]:
+    """Return the smaller one of entry a of D and entry b of ``D^T``, and in which of them it is."""
+    direct = mirrored = size * size
+    if a < len(keys):
+        direct = keys[a]
+    if b < len(by_column):
+        key = keys[by_column[b]]
+        mirrored = key % size * size + key // size  # i N + j becomes j N + i
+    return min(direct, mirrored), direct <= mirrored, mirrored <= direct

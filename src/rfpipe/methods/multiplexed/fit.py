@@ -30,7 +30,9 @@ from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks
 from rfpipe.ranges import ranges
 from rfpipe.steps import step, steps
 
-_ITERATIONS = 10
+# More iterations find sparse light with fewer pictures, but lose diffuse light. For 1 %, 8 take 83
+# patterns on a mirror and 10 take 97; on `glass_and_ring` 6 take 271 and 10 take 115.
+_ITERATIONS = 8
 # Assumed error of the model, relative to the floodlit image. A third and three times the value
 # change errors by less than 2 %.
 _MODEL_ERROR = 1e-3

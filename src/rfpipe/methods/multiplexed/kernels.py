@@ -24,8 +24,8 @@ from rfpipe.array_types import Double, Float, Index, Numbers
 VANISHING = 1e-7
 
 
-# Power of the factor of expectation maximisation by which variances change. Ten iterations with it
-# leave the errors of twenty with a power of 1.
+# Power of the factor of expectation maximisation by which variances change. Iterations with it have
+# the effect of twice as many with a power of 1.
 _POWER = 1.8
 
 

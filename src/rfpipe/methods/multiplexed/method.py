@@ -13,6 +13,7 @@ predicts the pictures of a round.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Self
@@ -47,6 +48,9 @@ _SEED = 2005
 # Each later round has a third as many patterns as all rounds of single rays before it. With half as
 # many patterns of the coarser levels, fits go astray (12 % in place of 1.7 % on `glass_and_ring`).
 _COARSE, _FINE, _RAYS = 8, 12, 16
+# Below this tolerance, coarser levels have more patterns, up to twice as many: dim blocks that they
+# miss are found late (0.8 % after 167 patterns with 8 and 12, 125 with 16 and 24, on a mirror).
+_COARSE_TOLERANCE = 0.004
 # A block is subdivided for a pixel if its light exceeds this share of the floodlit pixel, later one
 # over the number of patterns; where the pixel is darker than this fraction of the mean pixel, of
 # that.
@@ -143,7 +147,7 @@ class Multiplexed(Method[MultiplexedState]):
         if state.is_complete:
             return None
         index = state.index
-        count = pattern_count(state.level - 1, len(state.levels))
+        count = pattern_count(state.level - 1, len(state.levels), state.options.tolerance)
         lit = _halves(count, state.levels.tree.n_blocks(state.levels.levels[index]), state.level)
         return Schedule(state.level, shape, count, weights=state.levels.patterns(index, lit))
 
@@ -189,8 +193,9 @@ class Multiplexed(Method[MultiplexedState]):
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
         """Forecast three rounds of single rays, and at most one pattern a ray."""
-        levels = len(block_levels(projector))
-        patterns = 1 + sum(pattern_count(number, levels) for number in range(levels + 2))
+        levels = block_levels(projector)
+        of_rays = sum(ray_pattern_count(number) for number in range(3))
+        patterns = 1 + coarse_pattern_count(levels, options.tolerance) + of_rays
         return self.forecast_of(camera, channels, min(patterns, projector.size), projector.size)
 
     def _is_predicted(self, state: MultiplexedState, pictures: Pictures) -> bool:
@@ -206,21 +211,28 @@ class Multiplexed(Method[MultiplexedState]):
         return error <= state.options.tolerance**2 * light
 
 
-def coarse_pattern_count(levels: BlockLevels) -> int:
-    """Return the number of patterns above the level of single rays, without the floodlit one."""
-    return sum(pattern_count(number, len(levels)) for number in range(len(levels) - 1))
-
-
-def pattern_count(number: int, levels: int) -> int:
+def pattern_count(number: int, levels: int, tolerance: float) -> int:
     """Return the number of patterns of a round after the floodlit picture, from 0.
 
     `levels` is the number of levels, each of which has a round; single rays have further ones.
     """
-    if number < levels - 1:
-        return _COARSE if number < 2 else _FINE
-    if number < levels + 1:
+    if number >= levels - 1:
+        return ray_pattern_count(number - (levels - 1))
+    least = _COARSE if number < 2 else _FINE
+    return round(least * min(max(math.sqrt(_COARSE_TOLERANCE / tolerance), 1), 2))
+
+
+def coarse_pattern_count(levels: BlockLevels, tolerance: float) -> int:
+    """Return the number of patterns above the level of single rays, without the floodlit one."""
+    count = len(levels)
+    return sum(pattern_count(number, count, tolerance) for number in range(count - 1))
+
+
+def ray_pattern_count(number: int) -> int:
+    """Return the number of patterns of a round of single rays, from 0."""
+    if number < 2:
         return _RAYS
-    return sum(pattern_count(earlier, levels) for earlier in range(levels - 1, number)) // 3
+    return sum(ray_pattern_count(earlier) for earlier in range(number)) // 3
 
 
 def _halves(count: int, blocks: int, key: int) -> Bools:
