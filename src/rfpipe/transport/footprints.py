@@ -163,11 +163,14 @@ def sparse_arrays(
         Entries of each channel, in the order of the matrix's. Entries that are 0 in all channels
         are dropped. By default the matrix's own, for all channels.
     """
-    entries = matrix.data.astype(np.float32) if values is None else np.stack(values)
-    used = np.atleast_2d(entries).any(axis=0)
+    channels = [matrix.data] if values is None else values
+    used = np.zeros(matrix.nnz, np.bool_)
+    for entries in channels:
+        used |= entries != 0
     before = np.concatenate([[0], np.cumsum(used)])
+    kept = np.stack([entries[used].astype(np.float32, copy=False) for entries in channels])
     return {
-        name: np.ascontiguousarray(entries[..., used]),
+        name: kept[0] if values is None else kept,
         f"{name}_columns": matrix.indices[used].astype(np.int32),
         f"{name}_starts": before[matrix.indptr].astype(np.int32),
     }

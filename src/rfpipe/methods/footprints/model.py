@@ -63,11 +63,12 @@ def transport_arrays(fitted: FittedChannels, unit: float) -> dict[str, NDArray[A
     """Return the arrays of a `FootprintTransport`; `unit` is the radiance of 1 in the fit."""
     lights = [channel.indirect for channel in fitted.channels]
     basis = lights[0].basis
-    direct = [channel.footprints.weights * np.float32(unit) for channel in fitted.channels]
-    footprints = fitted.channels[0].footprints
+    weights = [channel.footprints.weights for channel in fitted.channels]
+    direct = sparse_arrays("footprints", fitted.channels[0].footprints.matrix(), weights)
+    direct["footprints"] *= np.float32(unit)  # in place: a light field has many footprints
     cores = [light.core_matrix() for light in lights]
     return {
-        **sparse_arrays("footprints", footprints.matrix(direct[0]), direct),
+        **direct,
         **sparse_arrays("left", basis.L),
         **sparse_arrays("right", basis.R),
         **sparse_arrays("cores", cores[0], [S.data for S in cores]),
