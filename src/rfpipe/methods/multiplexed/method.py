@@ -167,7 +167,7 @@ class Multiplexed(Method[MultiplexedState]):
         is_repeated = state.level > len(state.levels)
         is_complete = is_repeated and self._is_predicted(state, pictures)
         shown = sum(row["patterns"] for row in after.rows)
-        is_complete |= shown >= state.projector.size
+        is_complete |= shown >= most_patterns(state.projector)
         grey = floodlit.sum(axis=0)
         share = min(_SUBDIVIDED, 1 / sum(len(part.lit) for part in after.pictures))
         thresholds = share * np.maximum(grey, np.float32(_DARK) * grey.mean())
@@ -192,11 +192,12 @@ class Multiplexed(Method[MultiplexedState]):
     def forecast(
         self, camera: RayDomain, projector: RayDomain, channels: int, options: Any
     ) -> Forecast:
-        """Forecast three rounds of single rays, and at most one pattern a ray."""
+        """Forecast three rounds of single rays, and at most three patterns for two rays."""
         levels = block_levels(projector)
         of_rays = sum(ray_pattern_count(number) for number in range(3))
         patterns = 1 + coarse_pattern_count(levels, options.tolerance) + of_rays
-        return self.forecast_of(camera, channels, min(patterns, projector.size), projector.size)
+        largest = most_patterns(projector)
+        return self.forecast_of(camera, channels, min(patterns, largest), largest)
 
     def _is_predicted(self, state: MultiplexedState, pictures: Pictures) -> bool:
         """Test whether a fit predicts pictures to within the tolerance and their noise."""
@@ -226,6 +227,14 @@ def coarse_pattern_count(levels: BlockLevels, tolerance: float) -> int:
     """Return the number of patterns above the level of single rays, without the floodlit one."""
     count = len(levels)
     return sum(pattern_count(number, count, tolerance) for number in range(count - 1))
+
+
+def most_patterns(projector: RayDomain) -> int:
+    """Return the number of patterns after which no round follows, four for three rays.
+
+    With one pattern a ray, light from all rays is determined too badly.
+    """
+    return -(-3 * projector.size // 2)
 
 
 def ray_pattern_count(number: int) -> int:
