@@ -77,7 +77,7 @@ HIERARCHY_RAYS = PatternLaw(48.0, 0.8)
 """Patterns of single rays of the hierarchy, below its coarser levels, by target error."""
 
 # Largest number of patterns of a hierarchy, over the expected number.
-_HIERARCHY_MARGIN = 4.0
+_HIERARCHY_MARGIN = 5.0
 
 
 def hierarchy_patterns(projector: RayDomain, target: float) -> float:
