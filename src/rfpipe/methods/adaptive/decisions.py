@@ -116,8 +116,9 @@ def after_hierarchy_round(state: AdaptiveState) -> Decision:
     if inner.is_complete:
         return Decision(None, ALL_SHOWN)
     rays, target = state.projector.size, state.options.total_target
-    # rounds of single rays follow those of the coarser levels; three errors show how they fall
-    has_trend = len(state.hierarchy_levels) >= len(inner.levels) + 2
+    # rounds of single rays follow those of the coarser levels; the first five have 74 patterns, and
+    # after three, with 42, `venetian_blind` ended too early
+    has_trend = len(state.hierarchy_levels) >= len(inner.levels) + 4
     is_slow = has_trend and patterns_to_target(state) > rays
     if is_slow and rays > most_hierarchy_patterns(state.projector, target):
         return Decision(None, "more rounds would take more patterns than brute force")
