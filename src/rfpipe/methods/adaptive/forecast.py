@@ -73,7 +73,7 @@ With it, 31 of 36 forecasts of all patterns after the first round of the tuning 
 after the second, are within a factor of 1.5; on the test scenes 8 of 13 and 6 of 8.
 """
 
-HIERARCHY_RAYS = PatternLaw(48.0, 0.8)
+HIERARCHY_RAYS = PatternLaw(65.0, 0.8)
 """Patterns of single rays of the hierarchy, below its coarser levels, by target error."""
 
 # Largest number of patterns of a hierarchy, over the expected number.
