@@ -2,11 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.footprints.candidates import Candidates, join_pixels, join_views, split_views
+from rfpipe.methods.footprints.candidates import (
+    Candidates,
+    join_pixels,
+    join_views,
+    split_views,
+    with_weights_of_views,
+)
 from rfpipe.methods.footprints.charts import Chart
 from rfpipe.methods.footprints.functions import IndirectBasis, camera_to_projector
 from rfpipe.methods.footprints.indirect import IndirectLight, core_operator
@@ -52,6 +60,10 @@ def test_candidates_of_views_are_joined_and_split() -> None:
     for part, expected in zip(split_views(joined, 3), parts, strict=True):
         np.testing.assert_array_equal(part.keys, expected.keys)
         np.testing.assert_array_equal(part.variance, expected.variance)
+    doubled = (replace(part, weights=2 * part.weights) for part in parts)
+    weighted = with_weights_of_views(joined, doubled, 3)
+    np.testing.assert_array_equal(weighted.weights, 2 * joined.weights)
+    np.testing.assert_array_equal(weighted.variance, joined.variance)
 
 
 def test_candidates_of_ranges_of_camera_pixels_are_joined_and_split() -> None:

@@ -13,7 +13,7 @@ variance      `variance`        (K,)    their prior variances, radiance squared
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import islice
 from typing import TYPE_CHECKING, Any
@@ -202,6 +202,25 @@ def split_views(candidates: Candidates, views: int) -> Iterator[Candidates]:
         keys -= (keys // candidates.projector_size * (views - 1) + view) * size
         variance, weights = candidates.variance[mask], candidates.weights[mask]
         yield Candidates(candidates.camera_size, size, keys, variance, weights)
+
+
+def with_weights_of_views(
+    candidates: Candidates, parts: Iterable[Candidates], views: int
+) -> Candidates:
+    """Replace variances and weights by those of each view in turn; keys are not copied.
+
+    `parts` have the candidates of `split_views`. Each can be fitted when it is read, so that one
+    at a time is in memory: a light field has tens of millions of candidates.
+    """
+    from rfpipe.methods.footprints.kernels import views_of
+
+    size = candidates.projector_size // views
+    view_of = views_of(candidates.keys, size, views)
+    variance, weights = np.empty_like(candidates.variance), np.empty_like(candidates.weights)
+    for view, part in enumerate(parts):
+        mask = view_of == view
+        variance[mask], weights[mask] = part.variance, part.weights
+    return replace(candidates, variance=variance, weights=weights)
 
 
 def on_view(candidates: Candidates, view: int, views: int) -> Candidates:

@@ -9,7 +9,7 @@ its direct light is a diagonal.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,8 +17,8 @@ import numpy as np
 from rfpipe.array_types import Float
 from rfpipe.methods.footprints.candidates import (
     Candidates,
-    join_views,
     split_views,
+    with_weights_of_views,
 )
 from rfpipe.methods.footprints.pictures import IndirectPictures, ViewPictures
 from rfpipe.methods.footprints.weights import fit_weights
@@ -62,12 +62,15 @@ def fit_reciprocal_weights(
     indirect : iterable of IndirectPictures
         Indirect light in the pictures of each view, radiance.
     """
-    parts = []
-    expected = split_views(_transposed(footprints), len(pictures))
-    for view, part, light in zip(pictures, expected, indirect, strict=True):
-        prior = part.with_variance(view.floodlit, *_DIFFERENCE)
-        parts.append(fit_weights(prior, view, light, prior.weights))
-    return join_views(parts)
+    expected = _transposed(footprints)
+
+    def fitted_views() -> Iterator[Candidates]:
+        parts = split_views(expected, len(pictures))
+        for view, part, light in zip(pictures, parts, indirect, strict=True):
+            prior = part.with_variance(view.floodlit, *_DIFFERENCE)
+            yield fit_weights(prior, view, light, prior.weights)
+
+    return with_weights_of_views(expected, fitted_views(), len(pictures))
 
 
 def _transposed(footprints: Candidates) -> Candidates:

@@ -17,6 +17,7 @@ from rfpipe.methods.footprints.candidates import (
     join_pixels,
     join_views,
     split_views,
+    with_weights_of_views,
 )
 from rfpipe.methods.footprints.geometry import first_candidates, refined_footprints
 from rfpipe.methods.footprints.indirect import IndirectLight
@@ -83,4 +84,5 @@ def fit_weights_of_views(
 ) -> Candidates:
     """Fit the weights on each projector view to its pictures minus indirect light."""
     views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
-    return join_views([fit_weights(part, view, in_view) for part, view, in_view in views])
+    fitted = (fit_weights(part, view, in_view) for part, view, in_view in views)
+    return with_weights_of_views(footprints, fitted, len(pictures))
