@@ -43,9 +43,10 @@ def conjugate_gradients(
     preconditioned_norm : bool
         Measure both norms with the preconditioner, as ``sqrt(r^T precondition(r))``.
     """
-    solution = np.zeros_like(target) if start is None else start
-    residual = target if start is None else target - normal(start)
-    step = direction = precondition(residual)
+    solution = np.zeros_like(target) if start is None else start.copy()
+    residual = target.copy() if start is None else target - normal(start)
+    step = precondition(residual)
+    direction = step.copy()
     energy = _dot(residual, step)
     end = tolerance**2 * _dot(target, precondition(target) if preconditioned_norm else target)
     for _ in range(iterations):
@@ -56,10 +57,12 @@ def conjugate_gradients(
         if curvature <= 0:  # the residual is rounding
             break
         length = np.float32(energy / curvature)
-        solution, residual = solution + length * direction, residual - length * image
+        solution += length * direction
+        residual -= length * image
         step = precondition(residual)
         previous, energy = energy, _dot(residual, step)
-        direction = step + np.float32(energy / previous) * direction
+        direction *= np.float32(energy / previous)
+        direction += step
     return solution
 
 

@@ -228,7 +228,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
             return state, base
         if state.with_estimate(base.estimate).meets_target:
             return state, base
-        after = self._with_residual_of(state, base)
+        after = self._with_residual(state)
         best = self._best(after, base)
         is_useful = best.estimate.error < _RESIDUAL_GAIN * base.estimate.error
         return (after, best) if is_useful or not self.residual_is_optional else (state, base)
@@ -237,15 +237,16 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Fit the residual of the model, unless the model meets the target."""
         base = self._best_without_residual(state)
         if not state.with_estimate(base.estimate).meets_target:
-            state = self._with_residual_of(state, base)
+            state = self._with_residual(state)
         return state, self._best(state, base)
 
-    def _with_residual_of(self, state: AdaptiveState, base: Candidate) -> AdaptiveState:
-        """Fit the residual of a transport to the pictures of all rounds."""
-        camera, pictures = _camera_cells(state), state.cell_pictures
+    def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
+        """Fit the residual of the model to the pictures of all rounds."""
+        camera, pictures, model = _camera_cells(state), state.cell_pictures, self._model(state)
         assert pictures is not None, "the floodlit picture comes first"
-        projector = self._model(state).projector_cells(camera, base.transport)
-        residual = fit_residual(camera, projector, pictures, base.transport, state.residual)
+        base = model.transport(list(state.rows))
+        projector = model.projector_cells(camera, base)
+        residual = fit_residual(camera, projector, pictures, base, state.residual)
         return replace(state, residual=residual)
 
     # --- the hierarchy
@@ -278,7 +279,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     def _after_hierarchy_level(
         self, state: AdaptiveState, images: LevelImages, memory_bytes: int
     ) -> AdaptiveState:
-        """Refine the hierarchy."""
+        """Refine the hierarchy; where it doesn't help, fit the residual to its pictures, too."""
         assert state.hierarchy_state is not None
         inner = HIERARCHY_METHOD.refine(state.hierarchy_state, images, memory_bytes)
         levels = (*state.hierarchy_levels, state.level)
@@ -286,7 +287,15 @@ class AdaptiveMethod(Method[AdaptiveState]):
         after = replace(
             state, rows=(*state.rows, row), hierarchy_state=inner, hierarchy_levels=levels
         )
-        after = after.with_estimate(self._best(after).estimate)
+        after = after.with_cell_pictures(_camera_cells(after).read(images))
+        best = self._best(after)
+        is_of_rays = len(levels) >= len(inner.levels)
+        if is_of_rays and best.estimate.error < self._of_hierarchy(after).estimate.error:
+            with_residual = self._with_residual(after)
+            following = self._best(with_residual)
+            if following.estimate.error < best.estimate.error:
+                after, best = with_residual, following
+        after = after.with_estimate(best.estimate)
         return self._continue(after, end(after) or after_hierarchy_round(after))
 
     # --- the best transport
@@ -313,12 +322,16 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _best_without_residual(self, state: AdaptiveState) -> Candidate:
         """Return the better of the model and the hierarchy, each without a residual."""
-        rows = list(state.rows)
-        model = self._candidate(state, self._model(state).transport(rows))
+        model = self._candidate(state, self._model(state).transport(list(state.rows)))
         if state.hierarchy_state is None:
             return model
-        transport = SumTransport(HIERARCHY_METHOD.transport(state.hierarchy_state).parts, rows)
-        return min(model, self._candidate(state, transport), key=_error)
+        return min(model, self._of_hierarchy(state), key=_error)
+
+    def _of_hierarchy(self, state: AdaptiveState) -> Candidate:
+        """Return the hierarchy's transport."""
+        assert state.hierarchy_state is not None
+        parts = HIERARCHY_METHOD.transport(state.hierarchy_state).parts
+        return self._candidate(state, SumTransport(parts, list(state.rows)))
 
     def _candidate(self, state: AdaptiveState, transport: Transport) -> Candidate:
         """Estimate the error of a transport; it is 1 before the held-out pictures are taken."""
