@@ -94,19 +94,14 @@ def _variance_within_blocks(A: Double, V: Double) -> Double:
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def _picture_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, Double]:
     """Compute t and var(t) with a matrix over pictures."""
-    Y, S, z = A * V, np.empty((len(A), len(A))), c.copy()
-    for p in range(len(A)):
-        for q in range(p + 1):
-            S[p, q] = np.dot(Y[p], A[q])
+    AV = A * V
+    S = np.dot(AV, A.T)
+    for p in range(len(N)):
         S[p, p] += N[p]
-    _factor(S)
-    for p in range(len(S)):
-        for q in range(p):
-            z[p] -= S[p, q] * z[q]
-            for k in range(len(V)):
-                Y[p, k] -= S[p, q] * Y[q, k]
-        z[p] /= S[p, p]
-        Y[p] /= S[p, p]
+    columns = np.empty((len(c), len(V) + 1))
+    columns[:, :-1], columns[:, -1] = AV, c
+    solved = np.linalg.solve(np.linalg.cholesky(S), columns)
+    Y, z = solved[:, :-1], solved[:, -1]
     t, posterior = np.zeros_like(V), V.copy()
     for p in range(len(z)):
         for k in range(len(V)):
@@ -118,38 +113,18 @@ def _picture_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, D
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def _block_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, Double]:
     """Compute t and var(t) with a matrix over blocks."""
-    deviations = np.sqrt(V)
-    B = np.empty((len(V), len(c)))
-    for p in range(len(c)):
-        for k in range(len(V)):
-            B[k, p] = A[p, k] * deviations[k] / np.sqrt(N[p])
-    H, b, inverse = np.empty((len(V), len(V))), np.zeros(len(V)), np.eye(len(V))
+    deviations, certainty = np.sqrt(V), 1 / np.sqrt(N)
+    B = A * deviations
+    for p in range(len(N)):
+        B[p] *= certainty[p]
+    H = np.dot(B.T, B)
     for k in range(len(V)):
-        for m in range(k + 1):
-            H[k, m] = np.dot(B[k], B[m])
         H[k, k] += 1
-        for p in range(len(c)):
-            b[k] += B[k, p] * c[p] / np.sqrt(N[p])
-    _factor(H)
-    for k in range(len(V)):
-        for m in range(k):
-            b[k] -= H[k, m] * b[m]
-            for n in range(m + 1):
-                inverse[k, n] -= H[k, m] * inverse[m, n]
-        b[k] /= H[k, k]
-        inverse[k, : k + 1] /= H[k, k]
+    inverse = np.linalg.solve(np.linalg.cholesky(H), np.eye(len(V)))
+    z = np.dot(inverse, np.dot(B.T, certainty * c))
     t, posterior = np.zeros_like(V), np.zeros_like(V)
     for k in range(len(V)):
         for n in range(k + 1):
-            t[n] += inverse[k, n] * b[k]
+            t[n] += inverse[k, n] * z[k]
             posterior[n] += inverse[k, n] ** 2
     return t * deviations, posterior * V
-
-
-@numba.njit(cache=True, nogil=True, fastmath=True)
-def _factor(S: Double) -> None:
-    """Replace the lower triangle of S by that of its Cholesky factor."""
-    for p in range(len(S)):
-        for q in range(p):
-            S[p, q] = (S[p, q] - np.dot(S[p, :q], S[q, :q])) / S[q, q]
-        S[p, p] = np.sqrt(S[p, p] - np.dot(S[p, :p], S[p, :p]))
