@@ -1,4 +1,4 @@
-"""Types of arrays, by the type of their elements."""
+"""Types of arrays, by the type of their elements, and the smallest divisor."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,3 +22,6 @@ Numbers = NDArray[np.int32]
 
 FunctionTable = NDArray[np.int32]
 """Table of basis functions, (n, 4), see `rfpipe.transport.multiscale.MultiscaleBasis`."""
+
+TINY = float(np.finfo(np.float32).tiny)
+"""Smallest normal float32: the least value of divisors that could be 0."""

@@ -176,6 +176,30 @@ def test_a_state_with_a_hierarchy_is_restored() -> None:
     suite.test_a_state_is_restored_from_its_arrays()
 
 
+class DenseContract(MirrorContract):
+    """The contract on random light from all rays, which is not sparse."""
+
+    def _matrix(self) -> np.ndarray:
+        matrix = generator(4).random((72, 72))
+        return np.repeat((matrix + matrix.T)[None] / 200, 3, axis=0)
+
+
+def test_the_residual_is_fitted_to_pictures_of_a_hierarchy_that_does_not_help() -> None:
+    suite = DenseContract()
+    states = suite._run(suite._matrix()).states
+    of_hierarchy = [state for state in states if state.hierarchy_levels]
+    refitted = [
+        after
+        for before, after in zip(of_hierarchy[:-1], of_hierarchy[1:], strict=True)
+        if after.residual is not before.residual
+    ]
+    assert refitted
+    first = len(of_hierarchy[0].hierarchy_state.levels)
+    assert all(len(state.hierarchy_levels) >= first for state in refitted)
+    assert all(state.errors[-1] < state.errors[-2] for state in refitted)
+    suite.test_a_state_is_restored_from_its_arrays()
+
+
 def test_keys_of_rounds_depend_on_phase_and_index_alone() -> None:
     suite = MirrorContract()
     rounds = [state.next_round for state in suite._run(suite._matrix()).states]

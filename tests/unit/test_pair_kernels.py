@@ -8,8 +8,8 @@ import pytest
 from rfpipe.transport.pair_kernels import correlate, couple
 
 
-@pytest.mark.parametrize("columns", (1, 5, 16))
-@pytest.mark.parametrize("is_ordered", (True, False))
+@pytest.mark.parametrize("columns", [1, 5, 16])
+@pytest.mark.parametrize("is_ordered", [True, False])
 def test_products_of_pairs_are_those_of_a_dense_symmetric_matrix(
     columns: int, is_ordered: bool
 ) -> None:

@@ -29,7 +29,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Double, Float
+from rfpipe.array_types import TINY, Double, Float
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.series import Series
 from rfpipe.transport.dense import DenseTransport
@@ -39,7 +39,6 @@ _RIDGES: Double = np.logspace(-10, 2, 25)
 _ROUNDING = 1e-13
 # Least ridge of patterns that don't determine each ray: nothing else bounds undetermined entries.
 _LEAST_RIDGE = 1e-6
-_TINY = float(np.finfo(np.float32).tiny)
 # Camera rays that choose the prior, of more.
 _ENOUGH_RAYS = 512
 # Gradients of the fit without negative entries. Of 252 photographs of 8 bits (12 x 14 rays, 30 to
@@ -116,7 +115,7 @@ def _not_negative(basis: _Basis, penalty: Double, patterns: Float, pictures: Flo
     A fast iterative shrinkage-thresholding algorithm, 2009].
     """
     matrix = np.maximum(basis.solution(pictures, penalty), 0)
-    step = np.float32(1 / max(float(np.linalg.norm(patterns, 2)) ** 2, _TINY))
+    step = np.float32(1 / max(float(np.linalg.norm(patterns, 2)) ** 2, TINY))
     ahead, momentum = matrix, 1.0
     for _ in range(_GRADIENTS):
         gradient = (patterns @ ahead.T - pictures).T @ patterns
@@ -223,7 +222,7 @@ class _Basis:
                 share = penalty / variance
                 missed = (np.square(share) * along).sum(axis=0) + outside
                 free = np.square(share.sum(axis=0) + silent)
-                scores[index] = float((missed / free / np.maximum(light, _TINY)).mean())
+                scores[index] = float((missed / free / np.maximum(light, TINY)).mean())
         return scores
 
     def solution(self, pictures: Float, penalty: Double) -> Float:
@@ -236,7 +235,7 @@ class _Basis:
 def _gains(series: Series) -> Double:
     """Return the relative noise of each ray, squared, over its median, (C, M)."""
     light = np.sqrt(np.square(series.radiance, dtype=np.float64).mean(axis=0))
-    light = np.maximum(light, 1e-3 * max(float(light.max(initial=0)), _TINY))
+    light = np.maximum(light, 1e-3 * max(float(light.max(initial=0)), TINY))
     spread = series.variance.mean(axis=0, dtype=np.float64)
     if not spread.any():  # of unknown noise: the same relative noise for every ray
         return np.ones_like(light)

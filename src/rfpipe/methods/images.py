@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import TINY, Float
 from rfpipe.methods.base import SIGNIFICANCE, LevelImages
 from rfpipe.patterns import Schedule
 from rfpipe.photometry.camera import are_saturated
@@ -57,7 +57,7 @@ def planar_batches(
         yield slice(begin, end), radiance, variance + rounding(radiance)
 
 
-def rounding(radiance: Float, least: float = float(np.finfo(np.float32).tiny)) -> Float:
+def rounding(radiance: Float, least: float = TINY) -> Float:
     """Variance of the rounding to float32, which exact radiance has, too; at least `least`.
 
     By default it is above 0, for methods that divide by it.

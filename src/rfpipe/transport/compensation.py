@@ -7,11 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import TINY, Float
 from rfpipe.errors import InputError
 from rfpipe.transport.algebra import MatrixAlgebra
 
-_TINY = float(np.finfo(np.float32).tiny)
 _ITERATIONS = 200
 _LIMIT = 0.02  # error of a pixel in reach, relative to the root mean square of the picture
 
@@ -55,7 +54,7 @@ def compensation_for(transport: MatrixAlgebra, target: Float) -> Compensation:
     image = transport.forward(weights[None], channels)[0]
     error = np.sqrt(np.square(image - target, dtype=np.float64).mean(axis=0))
     level = float(np.sqrt(np.square(target, dtype=np.float64).mean()))
-    residual = float(np.sqrt(np.square(error).mean()) / max(level, _TINY))
+    residual = float(np.sqrt(np.square(error).mean()) / max(level, TINY))
     pattern = weights.T.reshape(*transport.projector_shape, -1)
     picture, out_of_reach = image.T.reshape(*camera, -1), error > _LIMIT * level
     return Compensation(pattern, picture, residual, out_of_reach.reshape(camera))
@@ -75,11 +74,11 @@ def _weights(transport: MatrixAlgebra, channel: int, target: Float) -> Float:
         gradient = 2 / scale * adjoint(residual).astype(np.float64)
         return float(residual @ residual) / scale, gradient
 
-    scale = max(float(target @ target), _TINY)
-    brightest = max(float(target.max(initial=0)), _TINY)
+    scale = max(float(target @ target), TINY)
+    brightest = max(float(target.max(initial=0)), TINY)
     # start: mean of the target over the camera pixels that a projector ray lights
     light = adjoint(np.ones_like(target))
-    start = np.clip(adjoint(target / brightest) / np.maximum(light, _TINY), 0, 1)
+    start = np.clip(adjoint(target / brightest) / np.maximum(light, TINY), 0, 1)
     solution = minimize(
         cost, start, jac=True, bounds=[(0, 1)] * len(start), method="L-BFGS-B",
         options={"maxiter": _ITERATIONS},

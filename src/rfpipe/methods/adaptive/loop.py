@@ -8,7 +8,8 @@ acquisition passes through phases, each of several rounds and each of which it m
     model               random patterns; the model is fitted to all pictures so far
     residual            random blocks; the residual of the model is fitted
     hierarchy           multiplexed dual photography, for light that no model describes; a round
-                        shows one level of the block tree, or more patterns of single rays
+                        shows one level of the block tree, or more patterns of single rays; where
+                        it doesn't help, its pictures serve the fit of the residual
 
 With the first round of the model six held-out pictures are taken, or three more after a prior.
 After each round the transport that predicts them best is the current result, and its error on them

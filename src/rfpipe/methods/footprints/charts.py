@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Bools, Double, Float, Index
+from rfpipe.array_types import TINY, Bools, Double, Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import nearest_known
 from rfpipe.transport.multiscale import MultiscaleBasis, function_grid, spline_values
@@ -134,7 +134,7 @@ def chart_from_view(
     pixel = np.arange(height * width)
     centres = np.stack([pixel // width + 0.5, pixel % width + 0.5], axis=1)
     light = np.asarray(direct.sum(axis=1), np.float64).ravel()
-    places = (direct @ centres) / np.maximum(light, np.finfo(np.float32).tiny)[:, None]
+    places = (direct @ centres) / np.maximum(light, TINY)[:, None]
     median = float(np.median(light[light > 0])) if (light > 0).any() else 0.0
     known = light > _LEAST_SHARE_OF_FLOODLIT * floodlit
     known &= light > _LEAST_SHARE_OF_MEDIAN * median

@@ -54,7 +54,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from rfpipe.array_types import Float, Index
+from rfpipe.array_types import TINY, Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.charts import ChartBasis
 from rfpipe.methods.smooth_light import prior_areas
@@ -202,7 +202,7 @@ class IndirectBasis:
         """
         area = prior_areas(self.camera)
         # f and g are about F, so that S is about indirect light over F^2
-        mean_core = indirect / (max(floodlit, float(np.finfo(np.float32).tiny)) ** 2)
+        mean_core = indirect / (max(floodlit, TINY) ** 2)
         symmetric = mean_core / (area * self._rays_per_surface_point)
         return np.concatenate([symmetric, _ANTISYMMETRY * symmetric]).astype(np.float32)
 

@@ -23,7 +23,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpipe.array_types import Float, Index
+from rfpipe.array_types import TINY, Float, Index
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import Candidates, unique_keys
 from rfpipe.methods.footprints.matching import (
@@ -36,7 +36,6 @@ from rfpipe.methods.footprints.matching import (
 from rfpipe.methods.footprints.pictures import IndirectPictures, ViewArrays, ViewPictures
 from rfpipe.methods.footprints.weights import (
     MODEL_ERROR,
-    TINY,
     fit_weights_of_part,
     non_negative_weights,
 )

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Bools, Float
+from rfpipe.array_types import TINY, Bools, Float
 from rfpipe.methods.footprints.candidates import Candidates, on_view
 from rfpipe.methods.footprints.charts import Chart, chart_from_view
 from rfpipe.methods.footprints.functions import (
@@ -145,7 +145,7 @@ def _mean_indirect_light(
     if len(pictures) > 1:
         return max(float((floodlit - direct_light).mean(dtype=np.float64)), 0.0)
     (view,) = pictures
-    positive = np.maximum(direct_light, np.finfo(np.float32).tiny)
+    positive = np.maximum(direct_light, TINY)
     light, weight = 0.0, 0.0
     for first, last in view.ranges():
         part = view.at(slice(first, last))

@@ -33,14 +33,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpipe.array_types import Double, Float, Index
+from rfpipe.array_types import TINY, Double, Float, Index
 from rfpipe.methods.footprints.candidates import Candidates, join_pixels
 from rfpipe.methods.footprints.pictures import IndirectPictures, ViewArrays, ViewPictures
 
 MODEL_ERROR = 0.003
 """Error of the model in the fit of weights, relative to the floodlit image."""
 
-TINY = np.finfo(np.float32).tiny
 
 # Weights that explain less than this many squared standard deviations of the pictures become 0.
 _LEAST_EVIDENCE = 12.0

@@ -48,7 +48,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float, FunctionTable, Numbers
+from rfpipe.array_types import TINY, Float, FunctionTable, Numbers
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.images import Pictures, beyond_noise
 from rfpipe.methods.least_squares import conjugate_gradients
@@ -197,7 +197,7 @@ class ChannelData:
     @property
     def core_scale(self) -> float:
         """Typical size of a core times its prior area in cells, in inverse radiance."""
-        return self.indirect / max(self.floodlit, float(np.finfo(np.float32).tiny))
+        return self.indirect / max(self.floodlit, TINY)
 
 
 def channel_data(cells: Cells, floodlit: Pictures, pictures: SplitPictures) -> ChannelData:

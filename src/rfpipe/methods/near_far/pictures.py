@@ -30,14 +30,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Bools, Float
+from rfpipe.array_types import TINY, Bools, Float
 from rfpipe.methods.images import Pictures
 from rfpipe.transport.wavelet import Cells, cell_side
 
 MOST_CELLS = 2**17
 """Largest number of cells. A fit to 30 RGB pictures then takes about 1 GB."""
-
-_TINY = np.finfo(np.float32).tiny
 
 
 @lru_cache(maxsize=2)
@@ -98,7 +96,7 @@ class SplitPictures:
         is_lit, known, noise = lit[:, None], floodlit.known, floodlit.variance[0]
         radiance = np.where(is_lit, self.excess + floodlit.floodlit, self.dark)
         # the rounding of the sum of both variances can exceed a small one
-        of_lit = np.maximum(self.lit_variance - noise, _TINY)
+        of_lit = np.maximum(self.lit_variance - noise, TINY)
         variance = np.where(is_lit, of_lit, self.dark_variance)
         return Pictures(
             lit,

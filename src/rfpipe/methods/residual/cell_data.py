@@ -10,10 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float, Numbers
+from rfpipe.array_types import TINY, Float, Numbers
 from rfpipe.transport.wavelet import Group, Haar
 
-_TINY = float(np.finfo(np.float32).tiny)
 # Share of the variance of residual pictures that light returned to its own cell may explain.
 _DIRECT_SHARE = 0.02
 
@@ -63,12 +62,12 @@ class CellData:
     def noise(self) -> float:
         """Harmonic mean of the variances of the noise."""
         certainty = np.divide(1, self.variance, where=self.known, out=np.zeros_like(self.observed))
-        return 1 / max(float(certainty.mean(dtype=np.float64)), _TINY)
+        return 1 / max(float(certainty.mean(dtype=np.float64)), TINY)
 
     @cached_property
     def direct_variance(self) -> np.float32:
         """V_d, the prior variance of the light that a cell returns to itself."""
-        power = max(float(np.square(self.cell_light, dtype=np.float64).mean()), _TINY)
+        power = max(float(np.square(self.cell_light, dtype=np.float64).mean()), TINY)
         return np.float32(_DIRECT_SHARE * self.observed.var(dtype=np.float64) / power)
 
     @cached_property

@@ -23,7 +23,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import TINY, Float
 from rfpipe.methods.images import batches, relight_white
 from rfpipe.methods.residual.cell_data import CellData, cell_data
 from rfpipe.methods.residual.model import CameraCells, CellPictures, ProjectorCells, Residual
@@ -42,7 +42,6 @@ _MOST_PICTURES = 512
 _MODEL_ERROR = 5e-4
 # Change of the norm of a picture that removing small cores may cause.
 _REMOVED = 5e-4
-_TINY = float(np.finfo(np.float32).tiny)
 
 
 def fit_residual(
@@ -206,7 +205,7 @@ def _without_small_cores(
         change[np.diag_indices(len(change))] /= 2
         change = np.triu(change)
     least = threshold_below(change, _REMOVED**2)
-    pairs = np.stack(np.nonzero(change >= max(least, _TINY))).astype(np.int32)
+    pairs = np.stack(np.nonzero(change >= max(least, TINY))).astype(np.int32)
     channels = len(cores)
     factor = np.zeros((channels, 0), np.float32) if projector.is_coaxial else projector.factor
     return Residual(pairs, np.ascontiguousarray(cores[:, pairs[0], pairs[1]]), factor)

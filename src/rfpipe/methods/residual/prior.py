@@ -10,12 +10,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import TINY, Float
 from rfpipe.methods.residual.cell_data import CellData
 from rfpipe.methods.residual.posterior import DenseExchange, Posterior
 from rfpipe.transport.wavelet import Group
 
-_TINY = float(np.finfo(np.float32).tiny)
 # Distance, in cells, at which the prior variance has fallen to half.
 _HALF_DISTANCE = 0.5
 # Iterations of the solution for the initial prior.
@@ -42,7 +41,7 @@ def initial_prior(data: CellData) -> Float:
         falloff = 1 + np.square(data.distances(group, sender_group) / _HALF_DISTANCE)
         pairs = (group.side * sender_group.side) ** 2 / falloff
         _write_pairs(prior, data, (group, sender_group), pairs.astype(np.float32))
-    total = float(energy / max(power, _TINY))
+    total = float(energy / max(power, TINY))
     prior *= np.float32(total / prior.sum(dtype=np.float64))
     return prior
 
