@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -189,9 +190,7 @@ def test_the_residual_is_fitted_to_pictures_of_a_hierarchy_that_does_not_help() 
     states = suite._run(suite._matrix()).states
     of_hierarchy = [state for state in states if state.hierarchy_levels]
     refitted = [
-        after
-        for before, after in zip(of_hierarchy[:-1], of_hierarchy[1:], strict=True)
-        if after.residual is not before.residual
+        after for before, after in pairwise(of_hierarchy) if after.residual is not before.residual
     ]
     assert refitted
     first = len(of_hierarchy[0].hierarchy_state.levels)
