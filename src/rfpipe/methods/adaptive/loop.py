@@ -292,10 +292,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
         best = self._best(after)
         is_of_rays = len(levels) >= len(inner.levels)
         if is_of_rays and best.estimate.error < self._of_hierarchy(after).estimate.error:
-            with_residual = self._with_residual(after)
-            following = self._best(with_residual)
-            if following.estimate.error < best.estimate.error:
-                after, best = with_residual, following
+            refitted = self._with_residual(after)
+            candidate = self._best(refitted)
+            if candidate.estimate.error < best.estimate.error:
+                after, best = refitted, candidate
         after = after.with_estimate(best.estimate)
         return self._continue(after, end(after) or after_hierarchy_round(after))
 

@@ -207,7 +207,7 @@ def split_views(candidates: Candidates, views: int) -> Iterator[Candidates]:
 def with_weights_of_views(
     candidates: Candidates, parts: Iterable[Candidates], views: int
 ) -> Candidates:
-    """Replace variances and weights by those of each view in turn; keys are not copied.
+    """Take variances and weights from parts, one for each view; keys are not copied.
 
     `parts` have the candidates of `split_views`. Each can be fitted when it is read, so that one
     at a time is in memory: a light field has tens of millions of candidates.
