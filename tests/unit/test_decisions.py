@@ -9,8 +9,10 @@ import pytest
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.adaptive.decisions import (
     ALL_SHOWN,
+    BRUTE_FORCE,
     NOT_SUITABLE,
     Decision,
+    after_dense_round,
     after_hierarchy_round,
     end,
     next_pattern_count,
@@ -193,9 +195,36 @@ def test_a_hierarchy_ends_where_single_rays_would_take_more_patterns_than_brute_
         ((*coarse, 0.1, 0.0998, 0.0996, 0.0993, 0.099), None),
     ):
         state = after_hierarchy_rounds(counts[: len(errors)], errors)
-        assert after_hierarchy_round(state).phase is phase
+        assert after_hierarchy_round(state, errors[-1]).phase is phase
     complete = replace(state, hierarchy_state=replace(state.hierarchy_state, is_complete=True))
-    assert after_hierarchy_round(complete) == (None, ALL_SHOWN)
+    assert after_hierarchy_round(complete, errors[-1]) == (None, ALL_SHOWN)
+
+
+def test_light_that_is_not_sparse_has_further_rounds_for_the_residual() -> None:
+    """The first round of single rays, here the fourth, shows whether a hierarchy suits it."""
+    for levels, share, phase in (
+        (3, 4.0, Phase.HIERARCHY),
+        (4, 1.9, Phase.HIERARCHY),
+        (4, 2.1, Phase.DENSE),
+        (5, 4.0, Phase.HIERARCHY),
+    ):
+        state = after_hierarchy_rounds((8, 8, 12, 16, 16)[:levels], (0.02,) * levels)
+        assert len(state.hierarchy_state.levels) == 4
+        assert after_hierarchy_round(state, 0.02 * share).phase is phase
+
+
+def test_rounds_after_a_hierarchy_end_where_brute_force_would_take_fewer_patterns() -> None:
+    counts, before = (8, 8, 12, 16), (0.02,) * 4
+    for errors, decision in (
+        ((0.0199, 0.0198), (Phase.DENSE, "")),
+        ((0.018, 0.016, 0.014), (Phase.DENSE, "")),
+        ((0.0199, 0.0198, 0.0197), (None, BRUTE_FORCE)),
+    ):
+        shown = (*counts, *(40, 60, 88)[: len(errors)])
+        state = after_hierarchy_rounds(shown, (*before, *errors))
+        state = replace(state, hierarchy_levels=state.hierarchy_levels[: len(counts)])
+        assert after_dense_round(state, is_last=False) == decision
+    assert after_dense_round(state, is_last=True) == (None, ALL_SHOWN)
 
 
 def test_a_round_has_the_patterns_missing_by_extrapolation() -> None:

@@ -242,8 +242,8 @@ def test_hard_cases_end_at_the_target(name: str) -> None:
         assert not transport.relight(np.ones(scene.shape)).any()
     elif not name.startswith("asymmetric"):
         # it ends at its estimate of a hundredth, or exactly; the plate's shadow is 1.04 %. Random
-        # light from all rays is not sparse: it ends above the target, and says so
-        largest = 0.025 if name == "random_dense" else 0.015
+        # light from all rays is neither smooth nor sparse: it ends above the target, and says so
+        largest = 0.035 if name == "random_dense" else 0.015
         assert np.mean(errors(scene, transport)) < largest
         if name == "random_dense":
             assert transport.level_rows[-1]["ended"]

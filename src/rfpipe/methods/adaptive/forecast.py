@@ -33,7 +33,7 @@ from rfpipe.methods.adaptive.state import HIERARCHY_TOLERANCE, AdaptiveState, Ph
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.held_out import HELD_OUT
 from rfpipe.methods.multiplexed.blocks import block_levels
-from rfpipe.methods.multiplexed.method import coarse_pattern_count
+from rfpipe.methods.multiplexed.method import coarse_pattern_count, ray_pattern_count
 
 
 class PatternLaw(NamedTuple):
@@ -92,17 +92,23 @@ def most_hierarchy_patterns(projector: RayDomain, target: float) -> int:
     return min(round(_HIERARCHY_MARGIN * hierarchy_patterns(projector, target)), projector.size)
 
 
-def most_patterns(projector: RayDomain, random_patterns: int, options: ErrorOptions) -> int:
+def most_patterns(
+    projector: RayDomain, random_patterns: int, dense_patterns: int, options: ErrorOptions
+) -> int:
     """Bound the number of patterns of all phases.
 
     Parameters
     ----------
     projector : RayDomain
-    random_patterns : int
-        Largest number of random patterns of all rounds.
+    random_patterns, dense_patterns : int
+        Largest numbers of random patterns of all rounds before a hierarchy, and after one that
+        doesn't suit the light.
     options : ErrorOptions
     """
-    hierarchy = most_hierarchy_patterns(projector, options.total_target)
+    target = options.total_target
+    unsuited = coarse_pattern_count(block_levels(projector), HIERARCHY_TOLERANCE * target)
+    unsuited += ray_pattern_count(0) + dense_patterns
+    hierarchy = max(most_hierarchy_patterns(projector, target), unsuited)
     total = 1 + len(HELD_OUT) + random_patterns + hierarchy
     return min(total, options.patterns or total)
 

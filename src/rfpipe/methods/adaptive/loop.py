@@ -10,6 +10,7 @@ acquisition passes through phases, each of several rounds and each of which it m
     hierarchy           multiplexed dual photography, for light that no model describes; a round
                         shows one level of the block tree, or more patterns of single rays; where
                         it doesn't help, its pictures serve the fit of the residual
+    dense               random blocks for the residual again, where the light isn't sparse
 
 With the first round of the model six held-out pictures are taken, or three more after a prior.
 After each round the transport that predicts them best is the current result, and its error on them
@@ -32,6 +33,7 @@ from rfpipe.methods.adaptive.decisions import (
     ALL_SHOWN,
     LIMIT_REACHED,
     Decision,
+    after_dense_round,
     after_hierarchy_round,
     end,
 )
@@ -174,7 +176,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
             return self._after_prior(after, best)
         after = _with_estimate_of(after, state, best)
         is_last = shown.index + 1 == len(self.rounds(state.projector)[shown.phase])
-        decision = end(after) or self.decide(after, shown.phase, is_last)
+        if shown.phase is Phase.DENSE:
+            decision = end(after) or after_dense_round(after, is_last=is_last)
+        else:
+            decision = end(after) or self.decide(after, shown.phase, is_last)
         return self._continue(after, decision)
 
     def transport(self, state: AdaptiveState) -> Transport:
@@ -289,15 +294,16 @@ class AdaptiveMethod(Method[AdaptiveState]):
             state, rows=(*state.rows, row), hierarchy_state=inner, hierarchy_levels=levels
         )
         after = after.with_cell_pictures(_camera_cells(after).read(images))
-        best = self._best(after)
+        best, hierarchy_error = self._best(after), self._of_hierarchy(after).estimate.error
         is_of_rays = len(levels) >= len(inner.levels)
-        if is_of_rays and best.estimate.error < self._of_hierarchy(after).estimate.error:
+        if is_of_rays and best.estimate.error < hierarchy_error:
             refitted = self._with_residual(after)
             candidate = self._best(refitted)
             if candidate.estimate.error < best.estimate.error:
                 after, best = refitted, candidate
         after = after.with_estimate(best.estimate)
-        return self._continue(after, end(after) or after_hierarchy_round(after))
+        decision = end(after) or after_hierarchy_round(after, hierarchy_error)
+        return self._continue(after, decision)
 
     # --- the best transport
 
@@ -374,8 +380,9 @@ class AdaptiveMethod(Method[AdaptiveState]):
     ) -> Forecast:
         """Forecast the patterns from the target error, see `rfpipe.methods.adaptive.forecast`."""
         check_rays(self, camera, projector)
-        random_patterns = random_pattern_count(self.rounds(projector))
-        largest = most_patterns(projector, random_patterns, options)
+        rounds = self.rounds(projector)
+        random_patterns, dense_patterns = random_pattern_count(rounds), sum(rounds[Phase.DENSE])
+        largest = most_patterns(projector, random_patterns, dense_patterns, options)
         lower, patterns, upper = (
             min(round(law.at(projector.views, options.total_target)), projector.size, largest)
             for law in (LOWER_QUARTILE, EXPECTED, UPPER_QUARTILE)

@@ -11,6 +11,9 @@ from rfpipe.methods.multiplexed.blocks import block_levels
 RESIDUAL_ROUNDS = (12, 20, 28, 40, 60, 88, 124, 170)
 """Largest number of patterns of each round for a residual: about 1.5 times that of the last."""
 
+DENSE_ROUNDS = RESIDUAL_ROUNDS[3:7]
+"""Largest number of patterns of each round for a residual after a hierarchy."""
+
 HIERARCHY_RAY_ROUNDS = 24
 """Largest number of further rounds of single rays in a hierarchy: more than any has, since each
 takes a third as many patterns as all before it."""
@@ -20,17 +23,18 @@ Rounds = dict[Phase, tuple[int, ...]]
 
 
 def hierarchy_rounds(projector: RayDomain) -> Rounds:
-    """Return the rounds of a hierarchy, which chooses their patterns, and of a prior."""
+    """Return the rounds of a hierarchy, which chooses their patterns, after it, and of a prior."""
     return {
         Phase.HIERARCHY: (0,) * (len(block_levels(projector)) + HIERARCHY_RAY_ROUNDS),
+        Phase.DENSE: DENSE_ROUNDS,
         # last, so that a prior doesn't change the random patterns of other phases
         Phase.PRIOR: (0,),
     }
 
 
 def random_pattern_count(rounds: Rounds) -> int:
-    """Sum up the largest numbers of random patterns of all rounds."""
-    return sum(sum(counts) for counts in rounds.values())
+    """Sum up the largest numbers of random patterns of all rounds before a hierarchy."""
+    return sum(sum(counts) for phase, counts in rounds.items() if phase is not Phase.DENSE)
 
 
 def next_round(

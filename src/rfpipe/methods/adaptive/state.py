@@ -46,6 +46,8 @@ class Phase(StrEnum):
     """Rounds of random blocks for the model's residual."""
     HIERARCHY = "hierarchy"
     """Rounds of multiplexed dual photography, which don't use the model."""
+    DENSE = "dense"
+    """Rounds of random blocks for the residual, after a hierarchy that doesn't suit the light."""
 
 
 @dataclass(frozen=True)
