@@ -204,8 +204,8 @@ def test_light_that_is_not_sparse_has_further_rounds_for_the_residual() -> None:
     """The first round of single rays, here the fourth, shows whether a hierarchy suits it."""
     for levels, share, phase in (
         (3, 4.0, Phase.HIERARCHY),
-        (4, 1.9, Phase.HIERARCHY),
-        (4, 2.1, Phase.DENSE),
+        (4, 1.0, Phase.HIERARCHY),
+        (4, 1.1, Phase.DENSE),
         (5, 4.0, Phase.HIERARCHY),
     ):
         state = after_hierarchy_rounds((8, 8, 12, 16, 16)[:levels], (0.02,) * levels)
