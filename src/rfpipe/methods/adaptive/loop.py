@@ -294,15 +294,17 @@ class AdaptiveMethod(Method[AdaptiveState]):
             state, rows=(*state.rows, row), hierarchy_state=inner, hierarchy_levels=levels
         )
         after = after.with_cell_pictures(_camera_cells(after).read(images))
-        best, hierarchy_error = self._best(after), self._of_hierarchy(after).estimate.error
+        hierarchy = self._of_hierarchy(after)
+        base = min(self._of_model(after), hierarchy, key=_error)
+        best = self._best(after, base)
         is_of_rays = len(levels) >= len(inner.levels)
-        if is_of_rays and best.estimate.error < hierarchy_error:
+        if is_of_rays and best.estimate.error < hierarchy.estimate.error:
             refitted = self._with_residual(after)
-            candidate = self._best(refitted)
+            candidate = self._best(refitted, base)
             if candidate.estimate.error < best.estimate.error:
                 after, best = refitted, candidate
         after = after.with_estimate(best.estimate)
-        decision = end(after) or after_hierarchy_round(after, hierarchy_error)
+        decision = end(after) or after_hierarchy_round(after, hierarchy.estimate.error)
         return self._continue(after, decision)
 
     # --- the best transport
@@ -329,10 +331,14 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _best_without_residual(self, state: AdaptiveState) -> Candidate:
         """Return the better of the model and the hierarchy, each without a residual."""
-        model = self._candidate(state, self._model(state).transport(list(state.rows)))
+        model = self._of_model(state)
         if state.hierarchy_state is None:
             return model
         return min(model, self._of_hierarchy(state), key=_error)
+
+    def _of_model(self, state: AdaptiveState) -> Candidate:
+        """Return the model's transport without a residual."""
+        return self._candidate(state, self._model(state).transport(list(state.rows)))
 
     def _of_hierarchy(self, state: AdaptiveState) -> Candidate:
         """Return the hierarchy's transport."""
