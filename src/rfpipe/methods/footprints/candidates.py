@@ -214,6 +214,8 @@ def with_weights_of_views(
     """
     from rfpipe.methods.footprints.kernels import views_of
 
+    if views == 1:
+        return next(iter(parts))
     size = candidates.projector_size // views
     view_of = views_of(candidates.keys, size, views)
     variance, weights = np.empty_like(candidates.variance), np.empty_like(candidates.weights)
