@@ -38,8 +38,9 @@ def couple(first: Numbers, second: Numbers, cores: Float, light: Float, out: Flo
                 out[a, column] += c0 * light[b0, column]
             run = 1
         for k in range(pair, pair + run):
-            b = second[k]
-            core = cores[k] if b != a else np.float32(0)
+            b, core = second[k], cores[k]
+            if b == a or core == 0:
+                continue
             for column in range(columns):
                 out[b, column] += core * light[a, column]
         pair += run
