@@ -1,12 +1,14 @@
 """Compiled sparse Bayesian regression of the blocks that light a camera pixel.
 
 For the radiance c of a pixel in P pictures, with noise variances N, means A of the patterns over
-K blocks, and prior variances V of the blocks' light t, the posterior has two equal forms, of which
-the one with the smaller matrix is computed:
+K blocks, and prior variances V of the blocks' light t, let ``B = N^-1/2 A V^1/2``. The posterior
+has two equal forms, of which the one with the smaller matrix is computed:
 
-    t = V A^T S^-1 c,            var(t) = V - V A^T S^-1 A V,     S = A V A^T + N            (P, P)
-    t = V^1/2 H^-1 V^1/2 A^T N^-1 c,    var(t) = V^1/2 H^-1 V^1/2,
-                                                H = 1 + V^1/2 A^T N^-1 A V^1/2               (K, K)
+    t = V^1/2 B^T S^-1 N^-1/2 c,  var(t) = V - V^1/2 B^T S^-1 B V^1/2,   S = 1 + B B^T    (P, P)
+    t = V^1/2 H^-1 B^T N^-1/2 c,  var(t) = V^1/2 H^-1 V^1/2,             H = 1 + B^T B    (K, K)
+
+Both are products of the columns of ``L^-1 X``, where S or ``H = L L^T`` and X has the columns of B
+and N^-1/2 c, or of 1 and B^T N^-1/2 c.
 """
 
 from __future__ import annotations
@@ -17,6 +19,7 @@ import numba
 import numpy as np
 
 from rfpipe.array_types import Double, Float, Index, Numbers
+from rfpipe.methods.multiplexed.lapack_kernels import add_products, whiten
 
 # Variance below which a block's light counts as 0, relative to the squared floodlit pixel. With a
 # hundredth of it fits take 1.2 to 1.6 times as long and errors are 2 % smaller; with ten times as
@@ -56,6 +59,8 @@ def fit_pixels(
         c = pictures.radiance[pixel]
         active = np.arange(starts[pixel], starts[pixel + 1])
         for _ in range(iterations):
+            if not len(active):
+                break
             A, V = _columns(pictures.means, blocks[active]), variance[active]
             N = pictures.noise[pixel] + _variance_within_blocks(A, V)
             by_block = len(active) < len(c)
@@ -94,37 +99,47 @@ def _variance_within_blocks(A: Double, V: Double) -> Double:
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def _picture_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, Double]:
     """Compute t and var(t) with a matrix over pictures."""
-    AV = A * V
-    S = np.dot(AV, A.T)
-    for p in range(len(N)):
-        S[p, p] += N[p]
-    columns = np.empty((len(c), len(V) + 1))
-    columns[:, :-1], columns[:, -1] = AV, c
-    solved = np.linalg.solve(np.linalg.cholesky(S), columns)
-    Y, z = solved[:, :-1], solved[:, -1]
-    t, posterior = np.zeros_like(V), V.copy()
-    for p in range(len(z)):
-        for k in range(len(V)):
-            t[k] += Y[p, k] * z[p]
-            posterior[k] -= Y[p, k] ** 2
-    return t, posterior
+    columns = _whitened_by_noise(A, c, N, V)
+    S = np.eye(len(c), dtype=np.float32)
+    add_products(S, np.ascontiguousarray(columns[:, :-1]))
+    whiten(S, columns)
+    t, explained = _products(columns)
+    return t * np.sqrt(V), V * (1 - explained)
 
 
 @numba.njit(cache=True, nogil=True, fastmath=True)
 def _block_form(A: Double, c: Double, N: Double, V: Double) -> tuple[Double, Double]:
     """Compute t and var(t) with a matrix over blocks."""
-    deviations, certainty = np.sqrt(V), 1 / np.sqrt(N)
-    B = A * deviations
-    for p in range(len(N)):
-        B[p] *= certainty[p]
-    H = np.dot(B.T, B)
-    for k in range(len(V)):
-        H[k, k] += 1
-    inverse = np.linalg.solve(np.linalg.cholesky(H), np.eye(len(V)))
-    z = np.dot(inverse, np.dot(B.T, certainty * c))
-    t, posterior = np.zeros_like(V), np.zeros_like(V)
-    for k in range(len(V)):
-        for n in range(k + 1):
-            t[n] += inverse[k, n] * z[k]
-            posterior[n] += inverse[k, n] ** 2
-    return t * deviations, posterior * V
+    rows = np.ascontiguousarray(_whitened_by_noise(A, c, N, V).T)  # B^T, and N^-1/2 c
+    H = np.eye(len(V), dtype=np.float32)
+    add_products(H, rows[:-1])
+    columns = np.eye(len(V), len(rows), dtype=np.float32)
+    columns[:, -1] = np.dot(rows[:-1], rows[-1])
+    whiten(H, columns)
+    t, remaining = _products(columns)
+    return t * np.sqrt(V), V * remaining
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _whitened_by_noise(A: Double, c: Double, N: Double, V: Double) -> Float:
+    """Compute the columns of B and N^-1/2 c, (P, K + 1)."""
+    deviations = np.sqrt(V)
+    whitened = np.empty((len(c), len(V) + 1), np.float32)
+    for p in range(len(c)):
+        certainty = 1 / np.sqrt(N[p])
+        for k in range(len(V)):
+            whitened[p, k] = certainty * A[p, k] * deviations[k]
+        whitened[p, -1] = certainty * c[p]
+    return whitened
+
+
+@numba.njit(cache=True, nogil=True, fastmath=True)
+def _products(columns: Float) -> tuple[Double, Double]:
+    """Multiply all but the last column with the last, and with themselves, (K,) each."""
+    blocks = columns.shape[1] - 1
+    with_last, squares = np.zeros(blocks), np.zeros(blocks)
+    for row in columns:
+        for k in range(blocks):
+            with_last[k] += row[k] * row[blocks]
+            squares[k] += row[k] ** 2
+    return with_last, squares
