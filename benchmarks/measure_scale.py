@@ -41,7 +41,8 @@ MEASURED = Path(__file__).parents[1] / "docs" / "scale" / "measured.csv"
 _SEED = 3000  # of the relit pictures, which no method uses
 _MEMORY_GIB = 4.0
 _ROOM = ("texture", "white", "white")
-_MOST_PATCHES = 2**17  # a scene of more points takes minutes and gigabytes
+# A wedge of more points, or a room of more, takes minutes and gigabytes.
+_MOST_PATCHES, _MOST_ROOM_PATCHES = 2**17, 2**14
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,8 @@ def _scene(case: Case) -> Any:
     if case.kind == "wedge":
         return _wedge(case.camera, case.channels)
     if case.kind == "room":
-        return room_scene(_ROOM, case.camera, views=case.views, channels=case.channels)
+        patch = max(2, cell_side(case.camera, _MOST_ROOM_PATCHES))
+        return room_scene(_ROOM, case.camera, views=case.views, channels=case.channels, patch=patch)
     projector = Pinhole(case.projector, position=(0.4, -0.1, 0.0), look_at=(0.0, 0.0, 3.0))
     surfaces = ("texture", "texture")
     return planes_scene("wedge", surfaces, case.camera, projector=projector, channels=case.channels)
