@@ -122,8 +122,8 @@ def panels_scene(
     """Build a scene of panels; panels that don't enclose it are obstructions.
 
     A texel is about as large as a pixel at `DISTANCE`. Only texels that are seen by a ray are
-    included: light on all other texels is lost. `domain` is the shape of all pinholes' rays, `patch`
-    as for `room_scene`.
+    included: light on all other texels is lost. `domain` is the shape of all pinholes' rays,
+    `patch` is the same as for `room_scene`.
     """
     grid = TexelGrid(panels, DISTANCE * pinholes[0].pitch)
     visibility, footprint = texel_weights(pinholes, grid)

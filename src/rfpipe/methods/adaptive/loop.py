@@ -140,7 +140,11 @@ class AdaptiveMethod(Method[AdaptiveState]):
         if coming.phase is Phase.HIERARCHY:
             assert state.hierarchy_state is not None
             schedule = HIERARCHY_METHOD.next_schedule(state.hierarchy_state)
-            return None if schedule is None else replace(schedule, seed=coming.key)
+            if schedule is None:
+                return None
+            assert schedule.weights is not None
+            count = min(coming.count or schedule.count, schedule.count)
+            return Schedule(coming.key, shape, count, weights=schedule.weights[:count])
         if coming.phase is Phase.MODEL:
             patterns = self._model(state).next_patterns(coming.key, coming.count)
         else:

@@ -60,12 +60,22 @@ def next_round(
     before = sum(len(rounds[earlier]) for earlier in phases[: phases.index(phase)])
     key = 1 + before + index
     if phase is Phase.HIERARCHY:
-        return Round(phase, index, key)
+        return Round(phase, index, key, count=_most_of_hierarchy(state))
     largest_count = rounds[phase][index]
     is_useful = largest_count > 0 and (phase is not Phase.MODEL or is_suitable)
     count = next_pattern_count(state, largest_count) if is_useful else 0
     held_out, count = _within_limit(state, phase, count)
     return Round(phase, index, key, held_out, count) if held_out + count else None
+
+
+def _most_of_hierarchy(state: AdaptiveState) -> int:
+    """Limit a round of a hierarchy to about as many patterns as the target lacks; 0 for no limit.
+
+    Three rounds of single rays show how fast errors fall: those of coarser blocks predict nothing.
+    """
+    inner = state.hierarchy_state
+    has_trend = inner is not None and len(state.hierarchy_levels) >= len(inner.levels) + 2
+    return next_pattern_count(state, state.projector.size) if has_trend else 0
 
 
 def _within_limit(state: AdaptiveState, phase: Phase, count: int) -> tuple[int, int]:

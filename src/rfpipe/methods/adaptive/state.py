@@ -63,8 +63,8 @@ class Round:
         Number of the round over all phases: 1 + the largest numbers of rounds of all earlier
         phases + `index`. Rounds draw different random patterns because their keys differ.
     held_out, count : int
-        Numbers of held-out patterns, and of random patterns after them; 0 for the floodlit pattern
-        and for the patterns of a hierarchy, which aren't random.
+        Numbers of held-out patterns, and of random patterns after them; 0 for the floodlit pattern.
+        In a hierarchy, `count` is the largest number of patterns, 0 for as many as it takes.
     """
 
     phase: Phase

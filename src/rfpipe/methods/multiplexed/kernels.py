@@ -59,17 +59,69 @@ def fit_pixels(
         c = pictures.radiance[pixel]
         active = np.arange(starts[pixel], starts[pixel + 1])
         for _ in range(iterations):
+            active = active[variance[active] > VANISHING * c[0] ** 2]
+            light[starts[pixel] : starts[pixel + 1]] = 0
             if not len(active):
                 break
             A, V = _columns(pictures.means, blocks[active]), variance[active]
             N = pictures.noise[pixel] + _variance_within_blocks(A, V)
             by_block = len(active) < len(c)
             t, posterior = _block_form(A, c, N, V) if by_block else _picture_form(A, c, N, V)
-            light[starts[pixel] : starts[pixel + 1]] = 0
             light[active] = t
             factor = (np.maximum(t, 0) ** 2 + np.maximum(posterior, 0)) / V
             variance[active] *= factor**_POWER
-            active = active[variance[active] > VANISHING * c[0] ** 2]
+
+
+class BlockRanges(NamedTuple):
+    """Blocks of each camera pixel, as ascending ranges of rays in the order of the block tree."""
+
+    starts: Index  # first block of each pixel, and the number of all, (M + 1,)
+    first: Index  # first ray of each block, (n,)
+    end: Index  # last ray of each block, plus 1, (n,)
+
+
+@numba.njit(cache=True, nogil=True)
+def average_variances(
+    blocks: BlockRanges, variance: Double, camera: tuple[int, int, int]
+) -> Double:
+    """Average variances (n,) over each camera pixel and its neighbours that have blocks.
+
+    `camera` has the numbers of views, rows and columns.
+    """
+    views, height, width = camera
+    average = np.zeros_like(variance)
+    for pixel in range(views * height * width):
+        own = slice(blocks.starts[pixel], blocks.starts[pixel + 1])
+        view, place = divmod(pixel, height * width)
+        row, column = divmod(place, width)
+        count = 0
+        for r in range(max(row - 1, 0), min(row + 2, height)):
+            for c in range(max(column - 1, 0), min(column + 2, width)):
+                neighbour = (view * height + r) * width + c
+                if blocks.starts[neighbour] < blocks.starts[neighbour + 1]:
+                    count += 1
+                    _add_variances(blocks, variance, neighbour, pixel, average)
+        average[own] /= max(count, 1)
+    return average
+
+
+@numba.njit(cache=True, nogil=True)
+def _add_variances(
+    blocks: BlockRanges, variance: Double, neighbour: int, pixel: int, total: Double
+) -> None:
+    """Add the variances of a neighbour's blocks to those of a pixel's, by the rays they share."""
+    theirs, end_of_theirs = blocks.starts[neighbour], blocks.starts[neighbour + 1]
+    own, end_of_own = blocks.starts[pixel], blocks.starts[pixel + 1]
+    while own < end_of_own and theirs < end_of_theirs:
+        first = max(blocks.first[own], blocks.first[theirs])
+        end = min(blocks.end[own], blocks.end[theirs])
+        if first < end:
+            share = (end - first) / (blocks.end[theirs] - blocks.first[theirs])
+            total[own] += share * variance[theirs]
+        if blocks.end[own] <= blocks.end[theirs]:
+            own += 1
+        else:
+            theirs += 1
 
 
 @numba.njit(cache=True, nogil=True)

@@ -163,7 +163,7 @@ class Multiplexed(Method[MultiplexedState]):
         if state.blocks is None:
             is_lit = pictures.known & (floodlit.sum(axis=0) > 0)
             return replace(after, blocks=PixelBlocks.coarsest(state.levels, floodlit, is_lit))
-        blocks = fit_blocks(state.levels, state.blocks, after.pictures)
+        blocks = fit_blocks(state.levels, state.camera, state.blocks, after.pictures)
         is_repeated = state.level > len(state.levels)
         is_complete = is_repeated and self._is_predicted(state, pictures)
         shown = sum(row["patterns"] for row in after.rows)
