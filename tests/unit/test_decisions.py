@@ -23,6 +23,7 @@ from rfpipe.methods.adaptive.forecast import (
     patterns_to_target,
 )
 from rfpipe.methods.adaptive.loop import AdaptiveMethod
+from rfpipe.methods.adaptive.rounds import next_round
 from rfpipe.methods.adaptive.state import (
     STOPPING_FRACTION,
     AdaptiveState,
@@ -211,6 +212,18 @@ def test_light_that_is_not_sparse_has_further_rounds_for_the_residual() -> None:
         state = after_hierarchy_rounds((8, 8, 12, 16, 16)[:levels], (0.02,) * levels)
         assert len(state.hierarchy_state.levels) == 4
         assert after_hierarchy_round(state, 0.02 * share).phase is phase
+
+
+def test_a_later_round_of_a_hierarchy_has_about_the_patterns_that_the_target_lacks() -> None:
+    """Three rounds of single rays, here the fourth to the sixth, show how fast errors fall."""
+    counts, errors = (8, 8, 12, 16, 16, 10), (0.9, 0.9, 0.9, 0.02, 0.014, 0.0125)
+    for levels, is_limited in ((4, False), (5, False), (6, True)):
+        state = after_hierarchy_rounds(counts[:levels], errors[:levels])
+        state = replace(state, next_round=Round(Phase.HIERARCHY, levels - 1))
+        coming = next_round(state, NearFar().rounds(RAYS), Phase.HIERARCHY, is_suitable=True)
+        assert coming.index == levels
+        missing = round(1.1 * patterns_to_target(state))
+        assert coming.count == (max(6, missing) if is_limited else 0)
 
 
 def test_rounds_after_a_hierarchy_end_where_brute_force_would_take_fewer_patterns() -> None:

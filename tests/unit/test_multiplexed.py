@@ -18,6 +18,7 @@ from rfpipe.methods import options_of
 from rfpipe.methods.base import StateArrays
 from rfpipe.methods.dual import Dual
 from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks
+from rfpipe.methods.multiplexed.fit import mean_over_neighbours
 from rfpipe.methods.multiplexed.kernels import (
     VANISHING,
     PixelPictures,
@@ -38,6 +39,7 @@ from rfpipe.testing.methods import MatrixImages, MethodRun
 pytestmark = pytest.mark.filterwarnings("error::RuntimeWarning")
 
 SHAPE = (16, 18)
+PROJECTOR = RayDomain(SHAPE)
 RAYS = 16 * 18
 
 
@@ -319,6 +321,36 @@ def test_one_bright_block_does_not_hide_the_others(pictures: int, blocks: int) -
     assert np.linalg.norm(light - true) < 1.1 * np.linalg.norm(t - true)
     assert np.linalg.norm(light - t) < 0.5 * deviation
     np.testing.assert_allclose(np.sqrt(variances.sum()), deviation, rtol=0.1)
+
+
+def test_variances_are_averaged_over_neighbours_by_the_rays_they_share() -> None:
+    """Two views of 4 x 5 pixels with blocks of several levels; one pixel is dark."""
+    random, camera, levels = np.random.default_rng(0), RayDomain((2, 4, 5)), BlockLevels(PROJECTOR)
+    is_lit = np.ones(camera.size, np.bool_)
+    is_lit[7] = False
+    blocks = PixelBlocks.coarsest(levels, np.ones((1, camera.size), np.float32), is_lit)
+    for finest in range(1, len(levels)):
+        light = random.random((1, len(blocks.block))).astype(np.float32)
+        limits = np.full(camera.size, 0.7, np.float32)
+        blocks = replace(blocks, light=light).subdivided(levels, finest, limits)
+    variance = random.random(len(blocks.block))
+
+    rays_of = np.concatenate(
+        [levels.tree.labels(level).ravel() == b for level in levels.levels
+         for b in range(levels.tree.n_blocks(level))]
+    ).reshape(-1, PROJECTOR.size)  # fmt: skip
+    members = rays_of[blocks.block]
+    by_ray = np.zeros((camera.size, PROJECTOR.size))
+    np.add.at(by_ray, blocks.pixel, members * (variance / members.sum(axis=1))[:, None])
+    grid, lit = by_ray.reshape(2, 4, 5, -1), is_lit.reshape(2, 4, 5)
+    mean = np.zeros_like(grid)
+    for view, row, column in np.ndindex(2, 4, 5):
+        near = (view, slice(max(row - 1, 0), row + 2), slice(max(column - 1, 0), column + 2))
+        mean[view, row, column] = grid[near][lit[near]].mean(axis=0)
+    expected = (members * mean.reshape(camera.size, -1)[blocks.pixel]).sum(axis=1)
+
+    average = mean_over_neighbours(levels, camera, blocks, variance)
+    np.testing.assert_allclose(average, expected, rtol=1e-6)
 
 
 def test_iterations_of_the_regression_agree_with_numpy() -> None:
