@@ -18,7 +18,7 @@ from rfpipe.methods.adaptive.forecast import (
     patterns_to_target,
 )
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase
-from rfpipe.methods.multiplexed.method import most_patterns
+from rfpipe.methods.multiplexed.method import largest_pattern_count
 
 STALLED = 0.5
 """A round has stalled if the error falls by less than this power of the number of patterns: a round
@@ -113,7 +113,7 @@ def after_round_before_hierarchy(state: AdaptiveState, phase: Phase, *, is_last:
 
 def after_dense_round(state: AdaptiveState, *, is_last: bool) -> Decision:
     """Decide after a round for the residual that follows a hierarchy."""
-    if is_last or state.patterns_shown >= most_patterns(state.projector):
+    if is_last or state.patterns_shown >= largest_pattern_count(state.projector):
         return Decision(None, ALL_SHOWN)
     rounds = len(state.rows) - 1 - state.hierarchy_levels[-1]
     if rounds >= 3 and patterns_to_target(state) > state.projector.size:

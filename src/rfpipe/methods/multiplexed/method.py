@@ -167,7 +167,7 @@ class Multiplexed(Method[MultiplexedState]):
         is_repeated = state.level > len(state.levels)
         is_complete = is_repeated and self._is_predicted(state, pictures)
         shown = sum(row["patterns"] for row in after.rows)
-        is_complete |= shown >= most_patterns(state.projector)
+        is_complete |= shown >= largest_pattern_count(state.projector)
         grey = floodlit.sum(axis=0)
         share = min(_SUBDIVIDED, 1 / sum(len(part.lit) for part in after.pictures))
         thresholds = share * np.maximum(grey, np.float32(_DARK) * grey.mean())
@@ -196,7 +196,7 @@ class Multiplexed(Method[MultiplexedState]):
         levels = block_levels(projector)
         of_rays = sum(ray_pattern_count(number) for number in range(3))
         patterns = 1 + coarse_pattern_count(levels, options.tolerance) + of_rays
-        largest = most_patterns(projector)
+        largest = largest_pattern_count(projector)
         return self.forecast_of(camera, channels, min(patterns, largest), largest)
 
     def _is_predicted(self, state: MultiplexedState, pictures: Pictures) -> bool:
@@ -229,7 +229,7 @@ def coarse_pattern_count(levels: BlockLevels, tolerance: float) -> int:
     return sum(pattern_count(number, count, tolerance) for number in range(count - 1))
 
 
-def most_patterns(projector: RayDomain) -> int:
+def largest_pattern_count(projector: RayDomain) -> int:
     """Return the number of patterns after which no round follows, four for three rays.
 
     With one pattern a ray, light from all rays is determined too badly.
