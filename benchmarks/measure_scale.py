@@ -131,10 +131,15 @@ def _wedge(shape: tuple[int, int], channels: int) -> Any:
 
 @cache
 def _rig(case: Case) -> Any:
+    """Return the simulated rig; its aperture is closed where the floodlit image is too bright."""
     from rfpipe.photometry import CameraModel
     from rfpipe.rigs import SimulatedRig
 
-    return SimulatedRig(_scene(case), CameraModel(), seed=1)
+    scene, camera = _scene(case), CameraModel()
+    floodlit = scene.apply(np.ones((1, case.domains[1].size), np.float32))
+    bright = camera.full_well_electrons / camera.exposures[0] / float(np.quantile(floodlit, 0.999))
+    electrons = min(camera.electrons_per_radiance, bright)
+    return SimulatedRig(scene, replace(camera, electrons_per_radiance=electrons), seed=1)
 
 
 def _acquisition(case: Case, folder: Path, rig: Any = None) -> Acquisition:

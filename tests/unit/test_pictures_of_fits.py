@@ -13,7 +13,7 @@ from rfpipe.methods.footprints.method import FootprintModel
 from rfpipe.methods.footprints.pictures import PackedPictures, radiance_unit, split_pictures
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.near_far.method import NearFarModel
-from rfpipe.methods.near_far.pictures import MOST_CELLS, SplitPictures, fit_cells
+from rfpipe.methods.near_far.pictures import MOST_CELLS, MOST_PIXELS, SplitPictures, fit_cells
 from rfpipe.transport.wavelet import Cells
 
 SHAPE = (5, 7)
@@ -54,11 +54,11 @@ def test_lit_and_dark_pixels_of_cells_are_summed_without_masked_ones(side: int) 
     np.testing.assert_allclose(grey.light[:, 0], split.light.sum(axis=1), rtol=1e-6)
 
 
-@pytest.mark.parametrize(("shape", "side"), [((310, 350), 1), ((768, 1024), 3), ((1080, 1920), 4)])
+@pytest.mark.parametrize(("shape", "side"), [((310, 350), 1), ((768, 1024), 5), ((1080, 1920), 8)])
 def test_cells_of_the_fit_are_limited_in_number(shape: tuple[int, int], side: int) -> None:
     cells = fit_cells(shape)
     assert cells.side == side
-    assert cells.count <= MOST_CELLS
+    assert cells.count <= (MOST_PIXELS if side == 1 else MOST_CELLS)
 
 
 def test_packed_pictures_are_rounded_less_than_the_error_of_any_model() -> None:

@@ -33,7 +33,7 @@ from rfpipe.methods.images import Pictures
 from rfpipe.methods.near_far.fit import fit_smooth_model
 from rfpipe.methods.near_far.model import SmoothModel, light_range, near_far_transport
 from rfpipe.methods.near_far.patterns import probe_patterns
-from rfpipe.methods.near_far.pictures import MOST_CELLS, SplitPictures, fit_cells
+from rfpipe.methods.near_far.pictures import MOST_PIXELS, SplitPictures, fit_cells
 from rfpipe.methods.near_far.prior import denoised_floodlit, without_indirect_light
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells, coaxial_projector
 from rfpipe.methods.states import joined, without_prefix
@@ -210,7 +210,7 @@ class NearFar(AdaptiveMethod):
         self, camera: RayDomain, channels: int, patterns: int, max_patterns: int
     ) -> Forecast:
         """Forecast an acquisition of known numbers of patterns; a fit is of a limited size."""
-        fit_bytes = self.bytes_per_ray * min(camera.size, MOST_CELLS)
+        fit_bytes = self.bytes_per_ray * min(camera.size, MOST_PIXELS)
         image_bytes = _IMAGE_VALUE_BYTES * channels * camera.size
         return Forecast(patterns, max_patterns, LIBRARY_BYTES + fit_bytes + image_bytes)
 
