@@ -194,7 +194,7 @@ def write_arrays(
         Folder of the bundle.
     arrays : mapping of str to ndarray
         Boolean, integer or float arrays of any shape, including length 0. Each array costs about
-        3 ms and two files.
+        3 ms and two files. A `ScratchArray` is in memory only while it is written.
     attributes : dict
         Plain data: units, versions, fingerprints.
     small : bool
@@ -218,8 +218,8 @@ def write_arrays(
     StoreError
         When the disk is full or the folder isn't writable; the previous bundle stays.
     """
-    contiguous = {name: np.asarray(array, order="C") for name, array in sorted(arrays.items())}
-    for name, array in contiguous.items():
+    entries: dict[str, dict[str, Any]] = {}
+    for name, array in sorted(arrays.items()):
         if not _NAME.fullmatch(name) or name == METADATA or array.dtype.kind not in "buif":
             raise InputError(
                 f"array {name!r} of {array.dtype} can't be stored",
@@ -227,7 +227,7 @@ def write_arrays(
                 remedy="expected booleans, integers or floats, and a name of letters, digits, '_', "
                 "'.' and '-'",
             )
-    entries = {name: _array_entry(array) for name, array in contiguous.items()}
+        entries[name] = _array_entry(np.asarray(array, order="C"))
     digest = _bundle_digest(entries, attributes, path)
     header: dict[str, Any] = {
         "kind": _KIND,
@@ -236,14 +236,16 @@ def write_arrays(
         "attributes": attributes,
     }
     header = canonical_data(header, f"{path}: attributes")
-    needed = sum(array.nbytes for array in contiguous.values())
+    needed = sum(
+        prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize for entry in entries.values()
+    )
     new = hidden_sibling(path, "new")
     with StoreLock(path), storage_errors(path, "writing arrays", needed, resumes=resumes):
         if path.exists():
             _refuse_foreign(path)
         remove_tree(new)
         try:
-            _write_group(new, contiguous, header, small, by_parts)
+            _write_group(new, arrays, header, small, by_parts)
             remove_tree(path)
             new.rename(path)
         except OSError:
@@ -274,7 +276,8 @@ def _write_group(
     from zarr.codecs import Crc32cCodec
 
     group = zarr.create_group(path, attributes=header)
-    for name, array in arrays.items():
+    for name, content in sorted(arrays.items()):
+        array = np.asarray(content, order="C")  # reads an array that isn't in memory
         chunks, shards = _grid(array, by_parts)
         options = small_layout(array.dtype) if small else layout()
         if shards is not None:
