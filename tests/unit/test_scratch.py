@@ -35,16 +35,14 @@ def test_rows_of_another_shape_are_refused() -> None:
 
 
 @pytest.mark.filterwarnings("error")
-def test_files_have_no_name_and_are_closed(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_files_have_no_name_and_are_closed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
-    before = len(os.listdir("/proc/self/fd"))
+    before = len(list(Path("/proc/self/fd").iterdir()))
     stored = ScratchArray.of(np.arange(5))
     assert not list(tmp_path.iterdir())
     del stored
     gc.collect()
-    assert len(os.listdir("/proc/self/fd")) == before
+    assert len(list(Path("/proc/self/fd").iterdir())) == before
 
 
 def test_a_full_disk_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:

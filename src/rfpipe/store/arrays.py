@@ -286,7 +286,9 @@ def _write_group(
             name, shape=array.shape, dtype=array.dtype, chunks=chunks, shards=shards, **options
         )
         if array.size:
-            stored[...] = array
+            # ten shards at a time, the default, need 0.7 GiB more and are no faster
+            with zarr.config.set({"async.concurrency": 1}):
+                stored[...] = array
 
 
 def _grid(array: NDArray[Any], by_parts: bool) -> tuple[tuple[int, ...], tuple[int, ...] | None]:

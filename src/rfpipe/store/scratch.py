@@ -54,11 +54,13 @@ class ScratchArray:
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         """Read a part of the array, by any index of an `ndarray`."""
-        if not prod(self.shape):
-            return np.empty(self.shape, self.dtype)[index]
         # pages of a mapping count as memory of the process, so that none outlives the access
-        mapped = np.memmap(self._file, self.dtype, "r", shape=self.shape)
-        part: NDArray[Any] = np.array(mapped[index])
+        array: NDArray[Any] = (
+            np.memmap(self._file, self.dtype, "r", shape=self.shape)
+            if prod(self.shape)
+            else np.empty(self.shape, self.dtype)
+        )
+        part: NDArray[Any] = np.array(array[index])
         return part
 
     def __array__(self, dtype: DTypeLike | None = None, copy: bool | None = None) -> NDArray[Any]:
