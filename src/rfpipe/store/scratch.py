@@ -1,4 +1,4 @@
-"""Arrays in temporary files, of which parts are read, for data that are too large for memory."""
+"""Arrays in temporary files, for data that are too large for memory."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from rfpipe.output import storage_errors
 
 
 class ScratchArray:
-    """Array in a temporary file that grows along its first axis.
+    """Array in a temporary file, of which parts are read; it grows along its first axis.
 
-    The file is in the folder for temporary files, see `tempfile.gettempdir`. It has no name, so
-    that it disappears with the array, and with the process however that ends.
+    The file is in the folder for temporary files, `tempfile.gettempdir`. It has no name: the system
+    deletes it when the array is deleted or the process ends, even by ``kill -9``.
 
     Parameters
     ----------
@@ -41,8 +41,13 @@ class ScratchArray:
     def __len__(self) -> int:
         return self.shape[0]
 
+    @property
+    def nbytes(self) -> int:
+        """Size of the array in bytes."""
+        return prod(self.shape) * self.dtype.itemsize
+
     def append(self, rows: NDArray[Any]) -> None:
-        """Write rows, (rows, *row_shape), behind those that there are."""
+        """Append rows, (rows, *row_shape)."""
         assert rows.shape[1:] == self.shape[1:]
         data = np.ascontiguousarray(rows, self.dtype)
         place = Path(tempfile.gettempdir(), "rfpipe")
@@ -54,7 +59,7 @@ class ScratchArray:
 
     def __getitem__(self, index: Any) -> NDArray[Any]:
         """Read a part of the array, by any index of an `ndarray`."""
-        # pages of a mapping count as memory of the process, so that none outlives the access
+        # pages of a memory map count as memory of the process until the map is deleted
         array: NDArray[Any] = (
             np.memmap(self._file, self.dtype, "r", shape=self.shape)
             if prod(self.shape)

@@ -176,15 +176,15 @@ def join_pixels(parts: Sequence[Candidates]) -> Candidates:
 class StoredCandidates:
     """Candidates on each projector view, in temporary files of which parts are read.
 
-    A light field has hundreds of millions of candidates. Candidates follow one another by view, by
-    camera pixel, and by projector pixel.
+    A light field may have hundreds of millions of candidates. They are ordered by view, then by
+    camera pixel, then by projector pixel.
 
     Attributes
     ----------
     camera_size, projector_size : int
         M, and N of one view.
     starts : ScratchArray of int64, shape (views (M + 1),)
-        Of each view, the index of each camera pixel's first candidate, and that behind the last.
+        For each view, the index of each camera pixel's first candidate, and one past the last.
     projector_pixels : ScratchArray of int32, shape (K,)
         Number of each candidate's projector pixel in its view.
     variance, weights : ScratchArray of float32, shape (K,)

@@ -72,9 +72,9 @@ def fit_reciprocal_weights(
 def _with_transposed_weights(footprints: StoredCandidates) -> Iterator[tuple[Candidates, Float]]:
     """Add the transposed candidates that have light, and return the transposed weights, too.
 
-    The variance is the larger one of an entry and of its transposed one with light. M = N. A view
-    of the projector has blocks with each view of the camera; the transposed ones are read one by
-    one.
+    The variance is the larger one of an entry and of its transposed one with light. M = N. The
+    columns of D on a projector view consist of a block for each camera view. The transposed block
+    is among the columns on another projector view. Two blocks are in memory at a time.
     """
     from rfpipe.methods.footprints.kernels import CandidateEntries, with_transposed_candidates
 
