@@ -6,14 +6,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
 from rfpipe.blocks import RayDomain
 from rfpipe.methods.footprints.candidates import (
     Candidates,
+    StoredCandidates,
     join_pixels,
-    join_views,
-    split_views,
-    with_weights_of_views,
 )
 from rfpipe.methods.footprints.charts import Chart
 from rfpipe.methods.footprints.functions import IndirectBasis, camera_to_projector
@@ -21,6 +20,7 @@ from rfpipe.methods.footprints.indirect import IndirectLight, core_operator
 from rfpipe.methods.footprints.kernels import CandidateRows, marginal_factors
 from rfpipe.methods.footprints.matching import Boxes
 from rfpipe.methods.footprints.matching_kernels import box_lengths, match_all, match_near
+from rfpipe.methods.footprints.model import footprint_arrays
 from rfpipe.methods.footprints.pictures import ViewArrays
 from rfpipe.methods.footprints.reciprocity import symmetrized, with_transposed
 from rfpipe.methods.footprints.weights import (
@@ -52,18 +52,34 @@ def random_pictures(camera_size: int, projector_size: int, count: int) -> ViewAr
     return ViewArrays(patterns, radiance, np.full_like(radiance, 1e-3))
 
 
-def test_candidates_of_views_are_joined_and_split() -> None:
+def test_candidates_of_views_are_stored() -> None:
     parts = [random_candidates(7, 12, seed) for seed in range(3)]
-    joined = join_views(parts)
-    columns = [part.matrix().toarray() for part in parts]
-    np.testing.assert_array_equal(joined.matrix().toarray(), np.concatenate(columns, axis=1))
-    for part, expected in zip(split_views(joined, 3), parts, strict=True):
-        np.testing.assert_array_equal(part.keys, expected.keys)
-        np.testing.assert_array_equal(part.variance, expected.variance)
-    doubled = (replace(part, weights=2 * part.weights) for part in parts)
-    weighted = with_weights_of_views(joined, doubled, 3)
-    np.testing.assert_array_equal(weighted.weights, 2 * joined.weights)
-    np.testing.assert_array_equal(weighted.variance, joined.variance)
+    stored = StoredCandidates.of(parts)
+    assert len(stored) == 3
+    for actual, expected in zip(stored, parts, strict=True):
+        np.testing.assert_array_equal(actual.keys, expected.keys)
+        np.testing.assert_array_equal(actual.variance, expected.variance)
+        np.testing.assert_array_equal(actual.weights, expected.weights)
+    rows = stored.between(1, 2, 5)
+    np.testing.assert_array_equal(rows.matrix().toarray(), parts[1].matrix().toarray()[2:5])
+
+
+def test_footprints_of_views_are_joined_in_a_transport() -> None:
+    parts = [random_candidates(7, 12, seed) for seed in range(3)]
+    channels = [[replace(it, weights=scale * it.weights) for it in parts] for scale in (1, 2)]
+    arrays = footprint_arrays([StoredCandidates.of(views) for views in channels], 0.5)
+    expected = np.concatenate([part.matrix().toarray() for part in parts], axis=1)
+    for weights, scale in zip(arrays["footprints"], (0.5, 1.0), strict=True):
+        content = weights, arrays["footprints_columns"], arrays["footprints_starts"]
+        actual = csr_array(content, shape=expected.shape)
+        assert actual.has_canonical_format
+        np.testing.assert_array_equal(actual.toarray(), np.float32(scale) * expected)
+
+
+def test_candidates_of_no_camera_pixel_are_stored() -> None:
+    nothing = random_candidates(4, 6, share=0)
+    (stored,) = StoredCandidates.of([nothing])
+    assert not stored.matrix().nnz
 
 
 def test_candidates_of_ranges_of_camera_pixels_are_joined_and_split() -> None:
@@ -80,11 +96,16 @@ def test_candidates_of_selected_camera_pixels_are_rows_of_the_matrix() -> None:
     np.testing.assert_array_equal(candidates.at(rows).matrix().toarray(), expected)
 
 
-def test_reciprocity_matches_dense_matrices() -> None:
-    candidates = random_candidates(14, 14)
-    D = candidates.matrix().toarray()
-    np.testing.assert_array_equal(with_transposed(candidates).matrix().toarray(), D)
-    np.testing.assert_allclose(symmetrized(candidates).matrix().toarray(), (D + D.T) / 2)
+@pytest.mark.parametrize("views", [1, 3])
+def test_reciprocity_matches_dense_matrices(views: int) -> None:
+    rays = 5 * views
+    stored = StoredCandidates.of([random_candidates(rays, 5, seed) for seed in range(views)])
+    D, completed, mean = (
+        np.concatenate([part.matrix().toarray() for part in parts], axis=1)
+        for parts in (stored, with_transposed(stored), symmetrized(stored))
+    )
+    np.testing.assert_array_equal(completed, D)
+    np.testing.assert_allclose(mean, (D + D.T) / 2)
 
 
 @pytest.mark.parametrize(("share", "kind"), [(0.1, LowRankPrecision), (0.7, TriangularPrecision)])
@@ -118,7 +139,7 @@ def test_core_operator_is_its_equation_and_has_its_adjoint(camera_rays) -> None:
     direct = random_candidates(CAMERA.size, PROJECTOR.size).matrix()
     scale = coarsest_scale(CAMERA.shape)
     functions = functions_over(scale, np.ones(cells(CAMERA.shape, scale), np.bool_))
-    mapping = camera_to_projector(direct, pictures.floodlit)
+    mapping = camera_to_projector([direct], pictures.floodlit)
     basis = IndirectBasis(Chart(CAMERA.shape).basis(functions), PROJECTOR, mapping)
     random = np.random.default_rng(2)
     f, camera_gain = random.uniform(0.5, 2, (2, CAMERA.size)).astype(np.float32)

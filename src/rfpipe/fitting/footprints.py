@@ -17,6 +17,7 @@ from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.fitting.series import Series
 from rfpipe.fitting.surfaces import expected_boxes, smoothed, surfaces_of
+from rfpipe.methods.footprints.candidates import StoredCandidates
 from rfpipe.methods.footprints.fit import fit_model
 from rfpipe.methods.footprints.model import ChannelModel, transport_arrays
 from rfpipe.methods.footprints.pictures import ViewArrays
@@ -80,18 +81,18 @@ def solve_footprints(series: Series, rows: list[dict[str, Any]]) -> FootprintTra
         for channel, view in zip(model.channels, pictures, strict=True)
     ]
     brightest = int(np.argmax([view.floodlit.sum() for view in pictures]))
-    surfaces = surfaces_of(model.grey, camera, projector)
+    surfaces = surfaces_of(model.grey[0], camera, projector)
     boxes = expected_boxes(
         surfaces,
-        model.channels[brightest].footprints,
+        model.channels[brightest].footprints[0],
         projector,
         pictures[brightest],
         indirect[brightest],
     )
-    smooth = [
-        ChannelModel(smoothed(view, channel.footprints, light, boxes), channel.indirect)
-        for view, light, channel in zip(pictures, indirect, model.channels, strict=True)
-    ]
+    smooth = []
+    for view, in_view, channel in zip(pictures, indirect, model.channels, strict=True):
+        footprints = smoothed(view, channel.footprints[0], in_view, boxes)
+        smooth.append(ChannelModel(StoredCandidates.of([footprints]), channel.indirect))
     arrays = transport_arrays(replace(model, channels=tuple(smooth)), unit)
     transport = FootprintTransport(camera.shape, projector.shape, count, rows, arrays)
     return _without_negative_light(transport, projector)

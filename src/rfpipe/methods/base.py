@@ -1,8 +1,8 @@
 """Acquisition methods: their descriptions, options, states and the registry.
 
 A method decides which patterns to show next and computes the transport from their images. The loop
-that shows the patterns and takes the pictures is `rfpipe.stages`; a method opens no file and no
-device::
+that shows the patterns and takes the pictures is `rfpipe.stages`; a method opens no device, and no
+file except temporary ones::
 
     state = method.start(camera, projector, channels, options)
     while (schedule := method.next_schedule(state)) is not None:

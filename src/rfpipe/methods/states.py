@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
+from rfpipe.store.scratch import ScratchArray
 from rfpipe.transport.lazy import LazyArrays
 
 Arrays = Mapping[str, NDArray[Any]]
@@ -73,7 +74,7 @@ def joined(parts: Sequence[Group], axis: int = -1) -> Group:
     names = [
         entry.name
         for entry in fields(parts[0])
-        if entry.init and isinstance(getattr(parts[0], entry.name), np.ndarray)
+        if entry.init and isinstance(getattr(parts[0], entry.name), np.ndarray | ScratchArray)
     ]
     arrays = {name: np.concatenate([getattr(part, name) for part in parts], axis) for name in names}
     return replace(parts[0], **arrays)

@@ -44,14 +44,7 @@ def run(acquisition: Acquisition, level: int) -> Any:
     if storage.current_manifest(level, "refine", inputs_fingerprint):
         return None
     previous = acquisition.state_before(level)
-    schedule, factors = read_schedule(storage, level), read_normalization(storage, level)
-    with storage.pictures(level, "merge") as merged:
-        images: LevelImages = NormalizedImages(schedule, merged, factors)
-        if schedule.count == 1 and schedule.complete:  # the floodlit image has far less noise
-            floodlit, variance = (image[None] for image in read_floodlit(storage))
-            images = ScheduledImages(schedule, lambda *_: (floodlit, variance))
-        with displayed_by(partial(Progress, unit="step", is_visible=acquisition.settings.progress)):
-            state = plan.method.refine(previous, images, acquisition.resources.data_bytes)
+    state = _refined(acquisition, previous, level)
     _log_estimate(state.rows, plan.options)
     _log_forecast(level, plan.method.remaining_patterns(state), acquisition.settings)
     changed = state.to_arrays(previous)
@@ -66,6 +59,19 @@ def run(acquisition: Acquisition, level: int) -> Any:
         level, "refine", inputs_fingerprint, changed.arrays, facts, state=dict(changed.attributes)
     )
     return state
+
+
+def _refined(acquisition: Acquisition, previous: Any, level: int) -> Any:
+    """Refine the state before a level by the level's images."""
+    method, storage = acquisition.plan.method, acquisition.storage
+    schedule, factors = read_schedule(storage, level), read_normalization(storage, level)
+    with storage.pictures(level, "merge") as merged:
+        images: LevelImages = NormalizedImages(schedule, merged, factors)
+        if schedule.count == 1 and schedule.complete:  # the floodlit image has far less noise
+            floodlit, variance = (image[None] for image in read_floodlit(storage))
+            images = ScheduledImages(schedule, lambda *_: (floodlit, variance))
+        with displayed_by(partial(Progress, unit="step", is_visible=acquisition.settings.progress)):
+            return method.refine(previous, images, acquisition.resources.data_bytes)
 
 
 def _log_estimate(level_rows: Sequence[Mapping[str, Any]], options: Options) -> None:

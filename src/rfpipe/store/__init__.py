@@ -1,4 +1,4 @@
-"""Data on disk: frame stores with journals, bundles of arrays, manifests and locks.
+"""Data on disk: frame stores with journals, bundles and temporary arrays, manifests and locks.
 
 Only this package imports zarr, and only to create a store; manifests, journals and locks don't
 need it.

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from math import prod
 from pathlib import Path
 from typing import Any
@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError, IntegrityError, StoreError
+from rfpipe.ranges import ranges
 from rfpipe.store.chunks import (
     DAMAGE,
     ChunkedArray,
@@ -25,6 +26,7 @@ from rfpipe.store.files import (
     canonical_data,
     canonical_json,
     digest_of,
+    digest_of_parts,
     hidden_sibling,
     remove_tree,
     storage_errors,
@@ -194,7 +196,7 @@ def write_arrays(
         Folder of the bundle.
     arrays : mapping of str to ndarray
         Boolean, integer or float arrays of any shape, including length 0. Each array costs about
-        3 ms and two files.
+        3 ms and two files. A `ScratchArray` is read a part at a time.
     attributes : dict
         Plain data: units, versions, fingerprints.
     small : bool
@@ -218,8 +220,8 @@ def write_arrays(
     StoreError
         When the disk is full or the folder isn't writable; the previous bundle stays.
     """
-    contiguous = {name: np.asarray(array, order="C") for name, array in sorted(arrays.items())}
-    for name, array in contiguous.items():
+    entries: dict[str, dict[str, Any]] = {}
+    for name, array in sorted(arrays.items()):
         if not _NAME.fullmatch(name) or name == METADATA or array.dtype.kind not in "buif":
             raise InputError(
                 f"array {name!r} of {array.dtype} can't be stored",
@@ -227,7 +229,7 @@ def write_arrays(
                 remedy="expected booleans, integers or floats, and a name of letters, digits, '_', "
                 "'.' and '-'",
             )
-    entries = {name: _array_entry(array) for name, array in contiguous.items()}
+        entries[name] = _array_entry(array)
     digest = _bundle_digest(entries, attributes, path)
     header: dict[str, Any] = {
         "kind": _KIND,
@@ -236,14 +238,16 @@ def write_arrays(
         "attributes": attributes,
     }
     header = canonical_data(header, f"{path}: attributes")
-    needed = sum(array.nbytes for array in contiguous.values())
+    needed = sum(
+        prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize for entry in entries.values()
+    )
     new = hidden_sibling(path, "new")
     with StoreLock(path), storage_errors(path, "writing arrays", needed, resumes=resumes):
         if path.exists():
             _refuse_foreign(path)
         remove_tree(new)
         try:
-            _write_group(new, contiguous, header, small, by_parts)
+            _write_group(new, arrays, header, small, by_parts)
             remove_tree(path)
             new.rename(path)
         except OSError:
@@ -274,7 +278,7 @@ def _write_group(
     from zarr.codecs import Crc32cCodec
 
     group = zarr.create_group(path, attributes=header)
-    for name, array in arrays.items():
+    for name, array in sorted(arrays.items()):
         chunks, shards = _grid(array, by_parts)
         options = small_layout(array.dtype) if small else layout()
         if shards is not None:
@@ -282,8 +286,10 @@ def _write_group(
         stored = group.create_array(
             name, shape=array.shape, dtype=array.dtype, chunks=chunks, shards=shards, **options
         )
-        if array.size:
-            stored[...] = array
+        # ten shards at a time, as zarr would write them, take 0.7 GiB more and are no faster
+        axis = int(np.argmax(stored.shape)) if stored.shape else 0
+        for part in _parts(stored.shape, axis, (shards or chunks or (1,))[axis]):
+            stored[part] = array[part]
 
 
 def _grid(array: NDArray[Any], by_parts: bool) -> tuple[tuple[int, ...], tuple[int, ...] | None]:
@@ -316,9 +322,21 @@ def _refuse_foreign(path: Path) -> None:
         ) from error
 
 
+def _parts(shape: tuple[int, ...], axis: int, longest: int) -> Iterator[tuple[Any, ...]]:
+    """Yield indices of the parts of an array, of a largest length along an axis."""
+    if not shape:
+        yield ()
+    elif prod(shape):
+        for first, last in ranges(shape[axis], longest):
+            yield (*(slice(None),) * axis, slice(first, last))
+
+
 def _array_entry(array: NDArray[Any]) -> dict[str, Any]:
+    """Describe an array, which is read a few rows at a time."""
+    longest = max(1, _SHARD_BYTES * len(array) // max(1, array.nbytes)) if array.shape else 1
+    parts = (np.ascontiguousarray(array[part]) for part in _parts(array.shape, 0, longest))
     return {
-        "digest": digest_of(array),
+        "digest": digest_of_parts(parts),
         "dtype": array.dtype.str,
         "shape": list(array.shape),
     }

@@ -22,7 +22,7 @@ from __future__ import annotations
 
 import logging
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from typing import Any, ClassVar, NamedTuple
 
@@ -432,11 +432,15 @@ def _with_prepared(
     state: AdaptiveState, model: AdaptiveModel, camera: CameraCells, batches: Iterable[Pictures]
 ) -> AdaptiveState:
     """Add pictures, as the model's fit and the residual's take them."""
-    prepared, in_cells = [], []
-    for pictures in batches:
-        prepared.append(model.prepared(pictures))
-        in_cells.append(camera.cell_pictures(pictures.lit, pictures.radiance, pictures.variance))
-    return state.with_pictures(prepared).with_cell_pictures(joined(in_cells, axis=0))
+    in_cells = []
+
+    def prepared() -> Iterator[Any]:
+        for batch in batches:
+            in_cells.append(camera.cell_pictures(batch.lit, batch.radiance, batch.variance))
+            yield model.prepared(batch)
+
+    state = state.with_pictures(prepared())
+    return state.with_cell_pictures(joined(in_cells, axis=0))
 
 
 def _floodlit(state: AdaptiveState) -> Pictures:

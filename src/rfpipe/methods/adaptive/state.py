@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from enum import StrEnum
 from typing import Any, ClassVar, Self
@@ -18,6 +18,7 @@ from rfpipe.methods.multiplexed.method import Multiplexed, MultiplexedOptions, M
 from rfpipe.methods.residual.model import CellPictures, Residual
 from rfpipe.methods.states import MethodState, joined, picture_count, with_prefix, without_prefix
 from rfpipe.transport.base import Transport
+from rfpipe.transport.lazy import LazySequence
 
 STOPPING_FRACTION = 0.95
 """Estimated error at which an acquisition ends, relative to the target.
@@ -84,9 +85,9 @@ class AdaptiveState(MethodState):
         None at the end.
     floodlit : Pictures, optional
         The floodlit picture alone. None before it is taken.
-    pictures : tuple of pictures of `pictures_type`
+    pictures : sequence of pictures of `pictures_type`
         Pictures of the model's rounds as the model's fit takes them, in parts that are never
-        copied; the first is floodlit.
+        copied; the first is floodlit. Those of a restored state are read when first used.
     cell_pictures : CellPictures, optional
         Pictures of all rounds, fitted to cells; the first is floodlit.
     held_out : Pictures, optional
@@ -113,7 +114,7 @@ class AdaptiveState(MethodState):
     options: ErrorOptions
     next_round: Round | None = Round(Phase.FLOODLIT)
     floodlit: Pictures | None = None
-    pictures: tuple[Any, ...] = ()
+    pictures: Sequence[Any] = ()
     cell_pictures: CellPictures | None = None
     held_out: Pictures | None = None
     estimates: tuple[Estimate, ...] = ()
@@ -182,7 +183,7 @@ class AdaptiveState(MethodState):
         parts = [pictures] if self.held_out is None else [self.held_out, pictures]
         return replace(self, held_out=joined(parts, axis=0))
 
-    def with_pictures(self, parts: Sequence[Any]) -> Self:
+    def with_pictures(self, parts: Iterable[Any]) -> Self:
         """Add pictures of a round of the model, prepared for its fit."""
         return replace(self, pictures=(*self.pictures, *parts))
 
@@ -192,6 +193,11 @@ class AdaptiveState(MethodState):
         return replace(self, cell_pictures=joined(parts, axis=0))
 
     # --- storage
+
+    @classmethod
+    def restored_pictures(cls, arrays: Mapping[str, NDArray[Any]]) -> Any:
+        """Restore pictures of `pictures_type` from their arrays."""
+        return cls.pictures_type(**arrays)
 
     def to_arrays(self, previous: Self) -> StateArrays:
         """Return new pictures, parts that were replaced, and what the hierarchy added."""
@@ -232,6 +238,7 @@ class AdaptiveState(MethodState):
             return start
         last = levels[-1].attributes
         next_round = last["next_round"]
+        pictures = [without_prefix("pictures_", level.arrays) for level in levels]
         state = replace(
             start,
             next_round=None if next_round is None else _round(**next_round),
@@ -239,7 +246,9 @@ class AdaptiveState(MethodState):
             hierarchy_levels=tuple(last["hierarchy_levels"]),
             estimates=tuple(Estimate(**values) for values in last["estimates"]),
             floodlit=_all(_pictures(Pictures, "floodlit_", levels)),
-            pictures=_pictures(cls.pictures_type, "pictures_", levels),
+            pictures=LazySequence(
+                [arrays for arrays in pictures if arrays], cls.restored_pictures, keep=True
+            ),
             cell_pictures=_all(_pictures(CellPictures, "cell_pictures_", levels)),
             held_out=_all(_pictures(Pictures, "held_out_", levels)),
             residual=_residual(levels),
@@ -284,7 +293,8 @@ def _round(phase: str, **numbers: int) -> Round:
 def _new_pictures(pictures: Any, before: Any) -> dict[str, NDArray[Any]]:
     """Return the arrays of pictures without those that there were before, None for none."""
     first = 0 if before is None else picture_count(before)
-    return {entry.name: getattr(pictures, entry.name)[first:] for entry in fields(pictures)}
+    arrays = {entry.name: getattr(pictures, entry.name) for entry in fields(pictures)}
+    return {name: array[first:] if first else array for name, array in arrays.items()}
 
 
 def _residual_arrays(residual: Residual) -> dict[str, NDArray[Any]]:

@@ -12,7 +12,7 @@ patterns.
 Modules, in reading order:
 
 - `pictures`: the pictures of one projector view, pixel by pixel;
-- `candidates`: the sparse matrix D and its splitting into projector views;
+- `candidates`: the sparse matrix D, stored by projector view;
 - `matching`, `geometry`: the search for the projector pixels that each camera pixel sees;
 - `weights`: the light that each of them contributes, by non-negative least squares;
 - `reciprocity`: D of light fields of coaxial pairs, where ``D = D^T``;

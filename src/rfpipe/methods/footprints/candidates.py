@@ -1,4 +1,4 @@
-"""Candidate footprints: the sparse matrix D of direct light, and its columns by projector view.
+"""Candidate footprints: the sparse matrix D of direct light, stored by projector view.
 
 ============  ================  ======  ============================================================
 symbol        name in the code  shape   meaning and unit
@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import islice
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Bools, Float, Index
+from rfpipe.store.scratch import ScratchArray
 from rfpipe.transport.hierarchical.leaves import ragged_ranges
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ class Candidates:
     Attributes
     ----------
     camera_size, projector_size : int
-        M and N: the number of camera pixels, and of projector pixels, of one view or of all views.
+        M and N: the number of camera pixels, and of projector pixels of one view.
     keys : ndarray of int64, shape (K,)
         ``i N + j`` if projector pixel j is a candidate of camera pixel i; distinct, ascending.
     variance : ndarray of float32, shape (K,)
@@ -84,6 +84,12 @@ class Candidates:
         variance = np.square(weight_fraction * self.weights)
         variance += np.square(floodlit_fraction * floodlit[self.camera_pixels])
         return replace(self, variance=variance.astype(np.float32))
+
+    def scaled(self, share: Float) -> Candidates:
+        """Multiply the weights by a factor of each camera pixel, (M,), variances by its square."""
+        factor = share[self.camera_pixels]
+        variance, weights = self.variance * np.square(factor), self.weights * factor
+        return replace(self, variance=variance, weights=weights)
 
     def above(self, fraction: float, floodlit: Float, exempt: Index | None = None) -> Candidates:
         """Select weights above a fraction of the floodlit image (M,), and all of `exempt` pixels.
@@ -166,65 +172,60 @@ def join_pixels(parts: Sequence[Candidates]) -> Candidates:
     return Candidates(int(ends[-1]), size, np.concatenate(keys), variance, weights)
 
 
-def join_views(parts: Sequence[Candidates]) -> Candidates:
-    """Join the candidates on each projector view to those on all views."""
-    views = len(parts)
-    if views == 1:
-        return parts[0]
-    size = parts[0].projector_size
-    counts = np.stack([np.diff(part.starts) for part in parts], axis=1)
-    # the candidates of a camera pixel are in the order of views
-    first = np.cumsum(counts).reshape(counts.shape) - counts
-    total = int(counts.sum())
-    keys, (variance, weights) = np.empty(total, np.int64), np.empty((2, total), np.float32)
-    for view, part in enumerate(parts):
-        place = ragged_ranges(first[:, view], counts[:, view])
-        # pixel j of a view has column view * size + j of D: the key i size + j of the view becomes
-        # (i views + view) size + j
-        keys[place] = part.keys + (part.camera_pixels * (views - 1) + view) * size
-        variance[place], weights[place] = part.variance, part.weights
-    return Candidates(parts[0].camera_size, views * size, keys, variance, weights)
+@dataclass(frozen=True)
+class StoredCandidates:
+    """Candidates on each projector view, in temporary files of which parts are read.
 
+    A light field may have hundreds of millions of candidates. They are ordered by view, then by
+    camera pixel, then by projector pixel.
 
-def split_views(candidates: Candidates, views: int) -> Iterator[Candidates]:
-    """Split candidates on all projector views by view, the inverse of `join_views`."""
-    from rfpipe.methods.footprints.kernels import views_of
-
-    if views == 1:
-        yield candidates
-        return
-    size = candidates.projector_size // views
-    view_of = views_of(candidates.keys, size, views)
-    for view in range(views):
-        mask = view_of == view
-        keys = candidates.keys[mask]
-        # the keys of `join_views`, solved for i size + j
-        keys -= (keys // candidates.projector_size * (views - 1) + view) * size
-        variance, weights = candidates.variance[mask], candidates.weights[mask]
-        yield Candidates(candidates.camera_size, size, keys, variance, weights)
-
-
-def with_weights_of_views(
-    candidates: Candidates, parts: Iterable[Candidates], views: int
-) -> Candidates:
-    """Take variances and weights from parts, one for each view; keys are not copied.
-
-    `parts` have the candidates of `split_views`. Each can be fitted when it is read, so that one
-    at a time is in memory: a light field has tens of millions of candidates.
+    Attributes
+    ----------
+    camera_size, projector_size : int
+        M, and N of one view.
+    starts : ScratchArray of int64, shape (views (M + 1),)
+        For each view, the index of each camera pixel's first candidate, and one past the last.
+    projector_pixels : ScratchArray of int32, shape (K,)
+        Number of each candidate's projector pixel in its view.
+    variance, weights : ScratchArray of float32, shape (K,)
+        As in `Candidates`.
     """
-    from rfpipe.methods.footprints.kernels import views_of
 
-    if views == 1:
-        return next(iter(parts))
-    size = candidates.projector_size // views
-    view_of = views_of(candidates.keys, size, views)
-    variance, weights = np.empty_like(candidates.variance), np.empty_like(candidates.weights)
-    for view, part in enumerate(parts):
-        mask = view_of == view
-        variance[mask], weights[mask] = part.variance, part.weights
-    return replace(candidates, variance=variance, weights=weights)
+    camera_size: int
+    projector_size: int
+    starts: ScratchArray
+    projector_pixels: ScratchArray
+    variance: ScratchArray
+    weights: ScratchArray
 
+    @classmethod
+    def of(cls, views: Iterable[Candidates]) -> Self:
+        """Store candidates on each view; one view at a time is in memory."""
+        starts, pixels = ScratchArray(np.int64), ScratchArray(np.int32)
+        variance, weights = ScratchArray(np.float32), ScratchArray(np.float32)
+        for part in views:
+            starts.append(part.starts + len(pixels))
+            pixels.append(part.projector_pixels)
+            variance.append(part.variance)
+            weights.append(part.weights)
+        return cls(part.camera_size, part.projector_size, starts, pixels, variance, weights)
 
-def on_view(candidates: Candidates, view: int, views: int) -> Candidates:
-    """Return the candidates on one of the projector's views, numbered from 0."""
-    return next(islice(split_views(candidates, views), view, None))
+    def __len__(self) -> int:
+        """Return the number of projector views."""
+        return len(self.starts) // (self.camera_size + 1)
+
+    def __iter__(self) -> Iterator[Candidates]:
+        return (self[view] for view in range(len(self)))
+
+    def __getitem__(self, view: int) -> Candidates:
+        """Read the candidates on a view."""
+        return self.between(view, 0, self.camera_size)
+
+    def between(self, view: int, first: int, last: int) -> Candidates:
+        """Read the candidates of the camera pixels ``first:last`` on a view."""
+        before = view * (self.camera_size + 1)
+        starts, size = self.starts[before + first : before + last + 1], self.projector_size
+        part = slice(starts[0], starts[-1])
+        keys = np.repeat(np.arange(last - first) * size, np.diff(starts))
+        keys += self.projector_pixels[part]
+        return Candidates(last - first, size, keys, self.variance[part], self.weights[part])

@@ -27,7 +27,7 @@ import numpy as np
 
 from rfpipe.array_types import Index
 from rfpipe.blocks import RayDomain
-from rfpipe.methods.footprints.candidates import Candidates, join_views, split_views
+from rfpipe.methods.footprints.candidates import Candidates, StoredCandidates
 from rfpipe.methods.footprints.indirect import (
     BEST,
     GOOD,
@@ -84,7 +84,7 @@ def fit_model(
     projector: RayDomain,
     grey: PicturesByView,
     channels: Iterable[PicturesByView],
-    previous: Candidates | None = None,
+    previous: StoredCandidates | None = None,
     limits: FitLimits | None = None,
 ) -> FittedChannels:
     """Fit the model to pictures.
@@ -96,7 +96,7 @@ def fit_model(
         Sum of the channels, for each projector view.
     channels : iterable of tuple of ViewPictures
         Each channel; empty if there is one. Each is fitted before the next is read.
-    previous : Candidates, optional
+    previous : StoredCandidates, optional
         `FittedChannels.grey` of an earlier fit.
     limits : FitLimits, optional
         By default at most 131,072 camera rays, and 4,096 with several projector views.
@@ -122,18 +122,15 @@ def solution_count(projector: RayDomain, channels: int, *, is_first: bool) -> in
 
 
 def _prepare_last_fit(
-    pictures: PicturesByView, footprints: Candidates, light: IndirectLight
-) -> Candidates:
+    pictures: PicturesByView, footprints: StoredCandidates, light: IndirectLight
+) -> StoredCandidates:
     """Drop faint candidates, and set the prior variances for the last fits.
 
     Where ``D = D^T``, candidates are completed by the transposed ones, and weights are fitted.
     """
-    parts = zip(pictures, split_views(footprints, len(pictures)), strict=True)
-    footprints = join_views(
-        [
-            part.above(FAINT, view.floodlit).with_variance(view.floodlit, *_LAST_PRIOR)
-            for view, part in parts
-        ]
+    footprints = StoredCandidates.of(
+        part.above(FAINT, view.floodlit).with_variance(view.floodlit, *_LAST_PRIOR)
+        for view, part in zip(pictures, footprints, strict=True)
     )
     if not light.basis.mapping.shared_rays:
         return footprints
@@ -142,7 +139,7 @@ def _prepare_last_fit(
 
 def _fit_parts(
     pictures: PicturesByView,
-    footprints: Candidates,
+    footprints: StoredCandidates,
     light: IndirectLight,
     camera_rays: Index | None,
     last: _LastFit,
@@ -158,7 +155,7 @@ def _fit_parts(
 
 def _fit_reciprocal_parts(
     pictures: PicturesByView,
-    footprints: Candidates,
+    footprints: StoredCandidates,
     light: IndirectLight,
     camera_rays: Index | None,
     turns: int,
@@ -171,22 +168,22 @@ def _fit_reciprocal_parts(
     for _ in range(turns):
         data = _data_without_direct_light(pictures, symmetrized(footprints), camera_rays)
         light = fit_cores(light, data, light.learned_deviations(), GOOD)
-        footprints = fit_reciprocal_weights(footprints, pictures, light.in_pictures(pictures))
+        indirect = light.in_pictures(pictures)
+        footprints = StoredCandidates.of(fit_reciprocal_weights(footprints, pictures, indirect))
     return ChannelModel(footprints, light)
 
 
 def _data_without_direct_light(
-    pictures: PicturesByView, footprints: Candidates, camera_rays: Index | None
+    pictures: PicturesByView, footprints: Iterable[Candidates], camera_rays: Index | None
 ) -> FitData:
     """Subtract direct light from the pictures of a fit of S.
 
     The prior variance of weights allows for errors of `footprints`, the mean of D and its
     transpose.
     """
-    parts = split_views(footprints.at(camera_rays), len(pictures))
     indirect, precisions = [], []
-    for view, part in zip(pictures, parts, strict=True):
-        in_fit = view.at(camera_rays)
+    for view, on_view in zip(pictures, footprints, strict=True):
+        in_fit, part = view.at(camera_rays), on_view.at(camera_rays)
         prior = part.with_variance(in_fit.floodlit, *_RECIPROCAL_PRIOR)
         precisions.append(marginal_precision(prior, in_fit))
         direct = part.matrix() @ in_fit.patterns
@@ -206,12 +203,7 @@ def _fit_channel(
     if not any(view.has_light() for view in pictures):
         share[:] = 0
     footprints, light = combined.footprints, combined.indirect
-    candidate_share = share[footprints.camera_pixels]
-    footprints = replace(
-        footprints,
-        variance=footprints.variance * np.square(candidate_share),
-        weights=footprints.weights * candidate_share,
-    )
+    footprints = StoredCandidates.of(part.scaled(share) for part in footprints)
     mapping = light.basis.mapping
     typical = max(float(np.median(share[share > 0])) if (share > 0).any() else 0.0, 0.0)
     visibility = mapping.visibility
@@ -228,6 +220,6 @@ def _fit_channel(
     if not share.any():
         return ChannelModel(footprints, light)
     fitted = _fit_parts(pictures, footprints, light, problem.camera_rays, _CHANNEL)
-    # the candidates are those of the sum, and their keys are in memory once for all channels
+    # the candidates are those of the sum, and are stored once for all channels
     weights = fitted.footprints.weights
     return replace(fitted, footprints=replace(combined.footprints, weights=weights))

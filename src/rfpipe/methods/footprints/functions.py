@@ -48,6 +48,7 @@ the symmetric parts of all pairs, then their antisymmetric parts.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -88,13 +89,16 @@ class CameraToProjector:
     shared_rays: bool = False
 
 
-def camera_to_projector(direct: csr_array[np.float32], floodlit: Float) -> CameraToProjector:
-    """Compute V and v from the footprints (M, N) and the floodlit image (M,)."""
-    from scipy.sparse import diags_array
+def camera_to_projector(
+    direct: Iterable[csr_array[np.float32]], floodlit: Float
+) -> CameraToProjector:
+    """Compute V and v from the footprints on each projector view, and the floodlit image (M,)."""
+    from scipy.sparse import diags_array, vstack
 
-    light: Float = np.asarray(direct.sum(axis=0)).ravel()
+    transposed: Any = vstack([on_view.T.tocsr() for on_view in direct])
+    light: Float = np.asarray(transposed.sum(axis=1)).ravel()
     inverse = np.divide(1, light, out=np.zeros_like(light), where=light > 0)
-    means = (diags_array(inverse) @ direct.T).tocsr().astype(np.float32)
+    means = (diags_array(inverse) @ transposed).tocsr().astype(np.float32)
     typical = means @ floodlit
     brightness = np.divide(light, typical, out=np.zeros_like(light), where=typical > 0)
     # several projector pixels that one camera pixel covers share its light
@@ -116,9 +120,8 @@ def identity_map(size: int) -> CameraToProjector:
     )
 
 
-def camera_factor(direct: csr_array[np.float32], floodlit: Float) -> Float:
-    """Compute f from the footprints (M, N) and the floodlit image (M,)."""
-    direct_light: Float = np.asarray(direct.sum(axis=1)).ravel()
+def camera_factor(direct_light: Float, floodlit: Float) -> Float:
+    """Compute f from ``D 1`` and the floodlit image, (M,) each."""
     indirect = np.maximum(floodlit - direct_light, 1e-6 * floodlit)
     is_mostly_direct = (direct_light > 0.5 * floodlit) & (indirect > 0)
     ratios = floodlit[is_mostly_direct] / indirect[is_mostly_direct]
@@ -167,6 +170,8 @@ class IndirectBasis:
         """Functions over the projector rays, (N, n)."""
         from scipy.sparse import diags_array
 
+        if self.mapping.shared_rays:
+            return self.L
         if isinstance(self.camera, ChartBasis):
             mapped = self.camera.at(np.asarray(self.mapping.means @ self.camera.places))
         else:
@@ -175,13 +180,13 @@ class IndirectBasis:
         matrix: csr_array[np.float32] = visible.tocsr().astype(np.float32)
         return matrix
 
-    @cached_property
-    def R_by_view(self) -> list[csr_array[np.float32]]:  # noqa: N802
+    @property
+    def R_by_view(self) -> Iterator[csr_array[np.float32]]:  # noqa: N802
         """Functions over the rays of each projector view, (N / views, n)."""
         views, size = self.projector.views, self.projector.rays_per_image
         if views == 1:
-            return [self.R]
-        return [self.R[view * size : (view + 1) * size] for view in range(views)]
+            return iter([self.R])
+        return (self.R[view * size : (view + 1) * size] for view in range(views))
 
     @property
     def _rays_per_surface_point(self) -> float:

@@ -41,7 +41,7 @@ block-diagonal. A fit may be restricted to some of the camera rays; then M is th
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, NamedTuple
@@ -49,7 +49,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from rfpipe.array_types import Float, Index
-from rfpipe.methods.footprints.candidates import Candidates, split_views
+from rfpipe.methods.footprints.candidates import Candidates
 from rfpipe.methods.footprints.functions import IndirectBasis
 from rfpipe.methods.footprints.pictures import IndirectPictures, ViewArrays, ViewPictures
 from rfpipe.methods.footprints.weights import MarginalPrecision, marginal_precision
@@ -163,10 +163,10 @@ class FitData:
 
 
 def fit_data(
-    pictures: Sequence[ViewPictures], footprints: Candidates, camera_rays: Index | None
+    pictures: Sequence[ViewPictures], footprints: Iterable[Candidates], camera_rays: Index | None
 ) -> FitData:
     """Select the camera rays of a fit, and marginalise the weights of their footprints."""
-    parts = split_views(footprints.at(camera_rays), len(pictures))
+    parts = (part.at(camera_rays) for part in footprints)
     in_fit = tuple(view.at(camera_rays) for view in pictures)
     precisions = tuple(map(marginal_precision, parts, in_fit))
     return FitData(in_fit, precisions, camera_rays)

@@ -330,15 +330,6 @@ def apply_triangles(triangles: Float, pictures: Float) -> Float:
     return result
 
 
-@njit(cache=True, nogil=True)
-def views_of(keys: Index, size: int, views: int) -> NDArray[np.int16]:
-    """Return the projector view of each candidate, (K,); each view has `size` pixels."""
-    view = np.empty(len(keys), np.int16)
-    for k in range(len(keys)):
-        view[k] = keys[k] // size % views
-    return view
-
-
 class TransposedCandidates(NamedTuple):
     """Candidates of D and of ``D^T``: keys, variances, and the weights of both matrices."""
 
@@ -348,19 +339,29 @@ class TransposedCandidates(NamedTuple):
     transposed: Float
 
 
+class CandidateEntries(NamedTuple):
+    """Keys, variances and weights of candidates."""
+
+    keys: Index
+    variance: Float
+    weights: Float
+
+
 @njit(cache=True, nogil=True)
 def with_transposed_candidates(
-    keys: Index, variance: Float, weights: Float, size: int
+    direct: CandidateEntries, mirrored: CandidateEntries, size: int
 ) -> TransposedCandidates:
-    """Merge the candidates of D, (size, size), with those of ``D^T`` that have light.
+    """Merge the candidates of a block of D with the transposed ones of another that have light.
 
-    The variance is the larger one of an entry and of its transposed one with light. A light field
-    has tens of millions of candidates; no array but the results and an int32 has that length.
+    Both blocks are (size, size). The variance is the larger one of an entry and of its transposed
+    one with light.
     """
-    by_column = _entries_by_column(keys, weights, size)
+    by_column = _entries_by_column(mirrored.keys, mirrored.weights, size)
+    keys = mirrored.keys[by_column]
+    keys = keys % size * size + keys // size  # i N + j becomes j N + i
     a = b = count = 0
-    while a < len(keys) or b < len(by_column):
-        _, in_direct, in_mirrored = _next_key(keys, by_column, size, a, b)
+    while a < len(direct.keys) or b < len(keys):
+        _, in_direct, in_mirrored = _next_key(direct.keys, keys, size, a, b)
         a, b, count = a + in_direct, b + in_mirrored, count + 1
     merged = TransposedCandidates(
         np.empty(count, np.int64),
@@ -370,13 +371,13 @@ def with_transposed_candidates(
     )
     a = b = 0
     for n in range(count):
-        merged.keys[n], in_direct, in_mirrored = _next_key(keys, by_column, size, a, b)
+        merged.keys[n], in_direct, in_mirrored = _next_key(direct.keys, keys, size, a, b)
         if in_direct:
-            merged.weights[n], merged.variance[n] = weights[a], variance[a]
+            merged.weights[n], merged.variance[n] = direct.weights[a], direct.variance[a]
         if in_mirrored:
             entry = by_column[b]
-            merged.transposed[n] = weights[entry]
-            merged.variance[n] = max(merged.variance[n], variance[entry])
+            merged.transposed[n] = mirrored.weights[entry]
+            merged.variance[n] = max(merged.variance[n], mirrored.variance[entry])
         a, b = a + in_direct, b + in_mirrored
     return merged
 
@@ -399,12 +400,8 @@ def _entries_by_column(keys: Index, weights: Float, size: int) -> Int32:
 
 
 @njit(cache=True, nogil=True)
-def _next_key(keys: Index, by_column: Int32, size: int, a: int, b: int) -> tuple[int, bool, bool]:
-    """Return the smaller one of entry a of D and entry b of ``D^T``, and in which of them it is."""
-    direct = mirrored = size * size
-    if a < len(keys):
-        direct = keys[a]
-    if b < len(by_column):
-        key = keys[by_column[b]]
-        mirrored = key % size * size + key // size  # i N + j becomes j N + i
-    return min(direct, mirrored), direct <= mirrored, mirrored <= direct
+def _next_key(direct: Index, mirrored: Index, size: int, a: int, b: int) -> tuple[int, bool, bool]:
+    """Return the smaller one of the keys a and b of two blocks, and in which of them it is."""
+    first = direct[a] if a < len(direct) else size * size
+    second = mirrored[b] if b < len(mirrored) else size * size
+    return min(first, second), first <= second, second <= first

@@ -8,8 +8,9 @@ photography follows.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from typing import Any, Self
 
 from numpy.typing import NDArray
@@ -25,7 +26,7 @@ from rfpipe.methods.adaptive.loop import AdaptiveMethod
 from rfpipe.methods.adaptive.rounds import Rounds, hierarchy_rounds
 from rfpipe.methods.adaptive.state import AdaptiveState, Phase, latest, merged
 from rfpipe.methods.base import StateArrays
-from rfpipe.methods.footprints.candidates import Candidates
+from rfpipe.methods.footprints.candidates import StoredCandidates
 from rfpipe.methods.footprints.direct_light import pixels_without_direct_light, projector_cells
 from rfpipe.methods.footprints.fit import fit_model, solution_count
 from rfpipe.methods.footprints.model import transport_arrays, uniform_arrays
@@ -40,8 +41,10 @@ from rfpipe.methods.images import Pictures
 from rfpipe.methods.residual.model import CameraCells, ProjectorCells
 from rfpipe.methods.states import with_prefix, without_prefix
 from rfpipe.steps import steps
+from rfpipe.store.scratch import ScratchArray
 from rfpipe.transport.base import Transport
 from rfpipe.transport.footprints import FootprintTransport
+from rfpipe.transport.lazy import LazyArrays
 from rfpipe.transport.sum import SumTransport, terms_of
 
 ROUNDS = (24, 26, 36, 48, 64, 80, 110, 150)
@@ -92,8 +95,8 @@ def fit_pictures(
     projector: RayDomain,
     pictures: Sequence[PackedPictures],
     unit: float,
-    previous: Candidates | None,
-) -> tuple[dict[str, NDArray[Any]], Candidates]:
+    previous: StoredCandidates | None,
+) -> tuple[dict[str, NDArray[Any]], StoredCandidates]:
     """Fit the model to pictures of all channels.
 
     Parameters
@@ -103,14 +106,14 @@ def fit_pictures(
         The first picture is floodlit.
     unit : float
         Unit of their radiance.
-    previous : Candidates, optional
+    previous : StoredCandidates, optional
         Footprints of the channels' sum of the last fit.
 
     Returns
     -------
     arrays : dict of str to ndarray
         Of the `FootprintTransport`.
-    footprints : Candidates
+    footprints : StoredCandidates
         Footprints of the channels' sum.
     """
     channels = pictures[0].channels
@@ -137,9 +140,9 @@ class FootprintModel:
         Unit of radiance in the fit.
     is_suitable : bool
         False for dark scenes and small projectors.
-    arrays : dict of str to ndarray, optional
+    arrays : mapping of str to ndarray, optional
         The arrays of the fitted `FootprintTransport`; None before the first fit.
-    footprints : Candidates, optional
+    footprints : StoredCandidates, optional
         Footprints of the channels' sum, in the unit of the fit: the start of the next search.
     prior : Transport, optional
         The transport before the first fit.
@@ -150,8 +153,8 @@ class FootprintModel:
     floodlit: Float
     unit: float
     is_suitable: bool
-    arrays: dict[str, NDArray[Any]] | None = None
-    footprints: Candidates | None = None
+    arrays: Mapping[str, NDArray[Any]] | None = None
+    footprints: StoredCandidates | None = None
     prior: Transport | None = None
 
     @classmethod
@@ -235,6 +238,9 @@ class FootprintModel:
         return FootprintTransport(*shapes, len(self.floodlit), [], arrays)
 
 
+_FOOTPRINT_ARRAYS = ("starts", "projector_pixels", "variance", "weights")
+
+
 @dataclass(frozen=True)
 class FootprintState(AdaptiveState):
     """State of a footprint acquisition."""
@@ -243,6 +249,15 @@ class FootprintState(AdaptiveState):
 
     model: FootprintModel | None = None
 
+    def with_pictures(self, parts: Iterable[PackedPictures]) -> Self:
+        """Add pictures of a round, in temporary files."""
+        return super().with_pictures([PackedPictures.stored(parts)])
+
+    @classmethod
+    def restored_pictures(cls, arrays: Mapping[str, NDArray[Any]]) -> PackedPictures:
+        """Restore the pictures of a round, in temporary files."""
+        return PackedPictures.stored([PackedPictures(**arrays)])
+
     def to_arrays(self, previous: Self) -> StateArrays:
         """Return the parts that the last level changed, the model among them."""
         parts, model = super().to_arrays(previous), self.model
@@ -250,11 +265,7 @@ class FootprintState(AdaptiveState):
             return parts
         footprints = model.footprints
         assert footprints is not None
-        arrays: dict[str, NDArray[Any]] = {
-            "keys": footprints.keys,
-            "variance": footprints.variance,
-            "weights": footprints.weights,
-        }
+        arrays = {name: getattr(footprints, name) for name in _FOOTPRINT_ARRAYS}
         sizes = [footprints.camera_size, footprints.projector_size]
         parts = merged(parts, with_prefix("model_", model.arrays))
         return merged(parts, with_prefix("footprints_", arrays), footprint_sizes=sizes)
@@ -270,15 +281,11 @@ class FootprintState(AdaptiveState):
         if level is not None:
             camera_size, projector_size = level.attributes["footprint_sizes"]
             stored = without_prefix("footprints_", level.arrays)
-            footprints = Candidates(
-                camera_size,
-                projector_size,
-                stored["keys"],
-                stored["variance"],
-                stored["weights"],
-            )
-            arrays = dict(without_prefix("model_", level.arrays))
-            model = replace(model, arrays=arrays, footprints=footprints)
+            arrays = {name: ScratchArray.of(stored[name]) for name in _FOOTPRINT_ARRAYS}
+            footprints = StoredCandidates(camera_size, projector_size, **arrays)
+            fitted = without_prefix("model_", level.arrays)
+            fitted = LazyArrays(list(fitted), cache(fitted.__getitem__))
+            model = replace(model, arrays=fitted, footprints=footprints)
         return replace(state, model=model)
 
 

@@ -8,7 +8,7 @@ Each of the C channels has its own arrays, except L and R:
 symbol  name in the code                    shape   meaning and unit
 ======  ==================================  ======  ================================================
 ``T``   `FootprintTransport`                (M, N)  light transport, radiance
-``D``   `ChannelModel.footprints.matrix()`  (M, N)  direct light, sparse, radiance
+``D``   `ChannelModel.footprints`           (M, N)  direct light, sparse, radiance
 ``L``   `IndirectBasis.L`                   (M, n)  functions over camera rays, sparse, no unit
 ``R``   `IndirectBasis.R`                   (N, n)  functions over projector rays, sparse, no unit
 ``S``   `IndirectLight.core_matrix()`       (n, n)  cores: light between functions, sparse, inverse
@@ -24,23 +24,25 @@ inverse to g.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.array_types import Float
-from rfpipe.methods.footprints.candidates import Candidates
+from rfpipe.array_types import Float, Index
+from rfpipe.methods.footprints.candidates import StoredCandidates
 from rfpipe.methods.footprints.indirect import IndirectLight
 from rfpipe.transport.footprints import sparse_arrays
+from rfpipe.transport.hierarchical.leaves import ragged_ranges
 
 
 @dataclass(frozen=True)
 class ChannelModel:
     """Direct and indirect light of one channel."""
 
-    footprints: Candidates
+    footprints: StoredCandidates
     indirect: IndirectLight
 
 
@@ -50,12 +52,12 @@ class FittedChannels:
 
     Attributes
     ----------
-    grey : Candidates
+    grey : StoredCandidates
         Footprints of the channels' sum, the start of the next search.
     channels : tuple of ChannelModel
     """
 
-    grey: Candidates
+    grey: StoredCandidates
     channels: tuple[ChannelModel, ...]
 
 
@@ -63,18 +65,44 @@ def transport_arrays(fitted: FittedChannels, unit: float) -> dict[str, NDArray[A
     """Return the arrays of a `FootprintTransport`; `unit` is the radiance of 1 in the fit."""
     lights = [channel.indirect for channel in fitted.channels]
     basis = lights[0].basis
-    weights = [channel.footprints.weights for channel in fitted.channels]
-    direct = sparse_arrays("footprints", fitted.channels[0].footprints.matrix(), weights)
-    direct["footprints"] *= np.float32(unit)  # in place: a light field has many footprints
     cores = [light.core_matrix() for light in lights]
     return {
-        **direct,
+        **footprint_arrays([channel.footprints for channel in fitted.channels], unit),
         **sparse_arrays("left", basis.L),
         **sparse_arrays("right", basis.R),
         **sparse_arrays("cores", cores[0], [S.data for S in cores]),
         "camera_factor": np.stack([light.f * np.float32(unit) for light in lights]),
         "projector_factor": np.stack([light.g for light in lights]),
     }
+
+
+def footprint_arrays(channels: Sequence[StoredCandidates], unit: float) -> dict[str, NDArray[Any]]:
+    """Join the footprints on all projector views, whose candidates all channels share.
+
+    Candidates that are 0 in all channels are dropped. The views are read twice: to count their
+    candidates, and to copy these.
+    """
+    size, views = channels[0].projector_size, range(len(channels[0]))
+
+    def footprints_on(view: int) -> tuple[Index, NDArray[np.int32], Float]:
+        """Return camera pixels (k,), columns of D (k,), and weights (C, k)."""
+        candidates = [channel[view] for channel in channels]
+        weights = np.stack([part.weights for part in candidates])
+        lit = weights.any(axis=0)
+        columns = candidates[0].projector_pixels[lit] + np.int32(view * size)
+        return candidates[0].camera_pixels[lit], columns, weights[:, lit] * np.float32(unit)
+
+    pixels = channels[0].camera_size
+    counts = np.stack([np.bincount(footprints_on(v)[0], minlength=pixels) for v in views], axis=1)
+    # the footprints of a camera pixel are in the order of views
+    ends = np.cumsum(counts).reshape(counts.shape)
+    columns = np.empty(int(counts.sum()), np.int32)
+    weights = np.empty((len(channels), len(columns)), np.float32)
+    for view in views:
+        place = ragged_ranges(ends[:, view] - counts[:, view], counts[:, view])
+        _, columns[place], weights[:, place] = footprints_on(view)
+    starts = np.concatenate([[0], ends[:, -1]]).astype(np.int32)
+    return {"footprints": weights, "footprints_columns": columns, "footprints_starts": starts}
 
 
 def uniform_arrays(floodlit: Float, projector_size: int) -> dict[str, NDArray[Any]]:

@@ -3,19 +3,19 @@
 Footprints are recognised by the radiance of a camera pixel over all patterns. In these arrays each
 row is a camera pixel and each column a picture; in `rfpipe.methods.images` each row is a picture.
 
-A fit of a light field goes through all pictures many times, view by view. They are kept in a packed
-form of 3 bytes a value, radiance as float16 and the logarithm of the variance in 8 bits, and are
-unpacked for one view at a time. The rounding of the radiance, 0.02 %, is a tenth of the error that
-any fit assumes of its model; that of the variance is 6 %.
+A fit of a light field goes through all pictures many times, view by view. They are stored in a
+packed form of 3 bytes a value, radiance as float16 and the logarithm of the variance in 8 bits, in
+temporary files, and are read and unpacked for one view at a time. The rounding of the radiance,
+0.02 %, is a tenth of the error that any fit assumes of its model; that of the variance is 6 %.
 """
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +25,7 @@ from rfpipe.blocks import RayDomain
 from rfpipe.methods.base import SIGNIFICANCE
 from rfpipe.methods.images import Pictures
 from rfpipe.ranges import ranges
+from rfpipe.store.scratch import ScratchArray
 
 if TYPE_CHECKING:
     from scipy.sparse import csr_array
@@ -149,7 +150,7 @@ class ViewArrays(ViewPictures):
 
 @dataclass(frozen=True)
 class PackedPictures:
-    """Packed pictures of on-off patterns, of all channels.
+    """Packed pictures of on-off patterns, of all channels; arrays may be in temporary files.
 
     Attributes
     ----------
@@ -162,8 +163,23 @@ class PackedPictures:
     """
 
     lit: NDArray[np.uint8]
-    radiance: NDArray[np.float16]
-    variance: NDArray[np.uint8]
+    radiance: NDArray[np.float16] | ScratchArray
+    variance: NDArray[np.uint8] | ScratchArray
+
+    @classmethod
+    def stored(cls, parts: Iterable[PackedPictures]) -> PackedPictures:
+        """Join pictures, with radiance and variance in temporary files; one part is in memory."""
+        lit: list[NDArray[np.uint8]] = []
+        for part in parts:
+            if not lit:
+                radiance, variance = (
+                    ScratchArray(array.dtype, array.shape[1:])
+                    for array in (part.radiance, part.variance)
+                )
+            lit.append(part.lit)
+            radiance.append(part.radiance[:])
+            variance.append(part.variance[:])
+        return cls(np.concatenate(lit), radiance, variance)
 
     @classmethod
     def of(cls, pictures: Pictures, unit: float) -> PackedPictures:
@@ -189,13 +205,27 @@ class PackedPictures:
     def unpacked(self, lit: Bools, unit: float) -> Pictures:
         """Return the pictures, of the patterns `lit` (P, N), with radiance times a unit."""
         scale = np.float32(unit)
-        radiance = self.radiance.astype(np.float32) * scale
-        return Pictures(lit, radiance, _VARIANCES[self.variance] * scale**2)
+        radiance = self.radiance[:].astype(np.float32) * scale
+        return Pictures(lit, radiance, _VARIANCES[self.variance[:]] * scale**2)
 
-    def select(self, index: int) -> PackedPictures:
-        """Select a picture; arrays are views."""
-        one = slice(index, index + 1)
-        return PackedPictures(self.lit[one], self.radiance[one], self.variance[one])
+
+class PackedPicture(NamedTuple):
+    """A picture of `packed` ones, by its number."""
+
+    packed: PackedPictures
+    number: int
+
+    def radiance(self, channels: slice, pixels: slice | Index) -> Float:
+        """Return the sum of channels at some camera pixels, (m,)."""
+        planes = self.packed.radiance[self.number : self.number + 1, channels, pixels]
+        total: Float = planes[0].sum(axis=0, dtype=np.float32)
+        return total
+
+    def variance(self, channels: slice, pixels: slice | Index) -> Float:
+        """Return the variance of the sum of channels at some camera pixels, (m,)."""
+        codes = self.packed.variance[self.number : self.number + 1, channels, pixels]
+        total: Float = _VARIANCES[codes[0]].sum(axis=0)
+        return total
 
 
 @dataclass(frozen=True)
@@ -204,60 +234,47 @@ class PackedView(ViewPictures):
 
     Attributes
     ----------
-    pictures : sequence of PackedPictures
-        The pictures of patterns on the view, one by one.
+    pictures : sequence of PackedPicture
+        The pictures of patterns on the view.
     channels : slice
         Channels that are added up.
     rays : slice
         Projector rays of the view.
     """
 
-    pictures: Sequence[PackedPictures]
+    pictures: Sequence[PackedPicture]
     channels: slice
     rays: slice
 
     @cached_property
     def patterns(self) -> Float:  # type: ignore[override]
         """p: weight of each projector pixel in each pattern, 0 or 1, (N, P)."""
-        lit = np.concatenate([picture.lit for picture in self.pictures])
+        lit = np.stack([packed.lit[number] for packed, number in self.pictures])
         lit = np.unpackbits(lit, axis=1, count=self.rays.stop)[:, self.rays]
         return np.ascontiguousarray(lit.T, np.float32)
 
     @property
     def radiance(self) -> Float:  # type: ignore[override]
         """c, 0 where a pixel is unknown, (M, P)."""
-        return np.stack([self._radiance(it, slice(None)) for it in self.pictures], axis=1)
+        return self.at(None).radiance
 
     @property
     def variance(self) -> Float:  # type: ignore[override]
         """Variance of c, infinite where a pixel is unknown, (M, P)."""
-        return np.stack([self._variance(it, slice(None)) for it in self.pictures], axis=1)
+        return self.at(None).variance
 
     def first(self) -> tuple[Float, Float]:
         """Return radiance and variance of the floodlit picture, (M,) each."""
-        pixels = slice(None)
-        return self._radiance(self.pictures[0], pixels), self._variance(self.pictures[0], pixels)
+        channels, pixels = self.channels, slice(None)
+        picture = self.pictures[0]
+        return picture.radiance(channels, pixels), picture.variance(channels, pixels)
 
     def at(self, camera_pixels: slice | Index | None) -> ViewArrays:
         """Select camera pixels by their numbers; None selects all."""
         pixels = slice(None) if camera_pixels is None else camera_pixels
-        radiance, variance = (
-            np.stack([unpack(picture, pixels) for picture in self.pictures], axis=1)
-            for unpack in (self._radiance, self._variance)
-        )
-        return ViewArrays(self.patterns, radiance, variance)
-
-    def _radiance(self, picture: PackedPictures, pixels: slice | Index) -> Float:
-        """Return the radiance of a picture at some pixels, (m,)."""
-        planes = picture.radiance[0, self.channels][:, pixels]
-        total: Float = planes.sum(axis=0, dtype=np.float32)
-        return total
-
-    def _variance(self, picture: PackedPictures, pixels: slice | Index) -> Float:
-        """Return the variance of a picture at some pixels, (m,)."""
-        planes = _VARIANCES[picture.variance[0, self.channels][:, pixels]]
-        total: Float = planes.sum(axis=0)
-        return total
+        radiance = [picture.radiance(self.channels, pixels) for picture in self.pictures]
+        variance = [picture.variance(self.channels, pixels) for picture in self.pictures]
+        return ViewArrays(self.patterns, np.stack(radiance, axis=1), np.stack(variance, axis=1))
 
 
 @dataclass(frozen=True)
@@ -303,10 +320,11 @@ def split_pictures(
     With several views each pattern lights one of them; the first one on each view is floodlit.
     """
     views, size = projector.views, projector.rays_per_image
-    of_view: list[list[PackedPictures]] = [[] for _ in range(views)]
-    pictures = (part.select(index) for part in packed for index in range(len(part.lit)))
+    of_view: list[list[PackedPicture]] = [[] for _ in range(views)]
+    pictures = (PackedPicture(part, index) for part in packed for index in range(len(part.lit)))
     for number, picture in enumerate(pictures):
-        lit = np.unpackbits(picture.lit, count=projector.size).reshape(views, size)
+        bits = picture.packed.lit[picture.number]
+        lit = np.unpackbits(bits, count=projector.size).reshape(views, size)
         if views == 1 or number > 0:  # else it is the picture of all views
             view = int(lit.any(axis=1).argmax())
             is_first = not of_view[view]

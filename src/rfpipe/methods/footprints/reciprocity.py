@@ -15,11 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from rfpipe.array_types import Float
-from rfpipe.methods.footprints.candidates import (
-    Candidates,
-    split_views,
-    with_weights_of_views,
-)
+from rfpipe.methods.footprints.candidates import Candidates, StoredCandidates, join_pixels
 from rfpipe.methods.footprints.pictures import IndirectPictures, ViewPictures
 from rfpipe.methods.footprints.weights import fit_weights
 
@@ -30,63 +26,69 @@ _LARGEST_DIFFERENCE = 0.5
 _DIFFERENCE = (0.1, 0.003)
 
 
-def is_symmetric(footprints: Candidates) -> bool:
+def is_symmetric(footprints: StoredCandidates) -> bool:
     """Return True if D, (N, N), and its transpose differ by less than half of the norm of D."""
-    completed, transposed = _with_transposed_weights(footprints)
-    difference = np.linalg.norm(completed.weights - transposed)
-    return bool(difference < _LARGEST_DIFFERENCE * np.linalg.norm(completed.weights))
+    difference = light = 0.0
+    for completed, transposed in _with_transposed_weights(footprints):
+        difference += float(np.square(completed.weights - transposed).sum(dtype=np.float64))
+        light += float(np.square(completed.weights).sum(dtype=np.float64))
+    return difference < _LARGEST_DIFFERENCE**2 * light
 
 
-def with_transposed(footprints: Candidates) -> Candidates:
-    """Add a candidate with weight 0 wherever only the transposed one has light."""
-    return _with_transposed_weights(footprints)[0]
+def with_transposed(footprints: StoredCandidates) -> Iterator[Candidates]:
+    """Add a candidate with weight 0 wherever only the transposed one has light, view by view."""
+    return (completed for completed, _ in _with_transposed_weights(footprints))
 
 
-def symmetrized(footprints: Candidates) -> Candidates:
-    """Return ``(D + D^T) / 2``."""
-    completed, transposed = _with_transposed_weights(footprints)
-    return replace(completed, weights=((completed.weights + transposed) / 2).astype(np.float32))
+def symmetrized(footprints: StoredCandidates) -> Iterator[Candidates]:
+    """Compute ``(D + D^T) / 2``, view by view."""
+    for completed, transposed in _with_transposed_weights(footprints):
+        mean = ((completed.weights + transposed) / 2).astype(np.float32)
+        yield replace(completed, weights=mean)
 
 
 def fit_reciprocal_weights(
-    footprints: Candidates, pictures: Sequence[ViewPictures], indirect: Iterable[IndirectPictures]
-) -> Candidates:
+    footprints: StoredCandidates,
+    pictures: Sequence[ViewPictures],
+    indirect: Iterable[IndirectPictures],
+) -> Iterator[Candidates]:
     """Fit the weights to the pictures minus indirect light, near the transposed weights.
 
     Parameters
     ----------
-    footprints : Candidates
-        On all views of the projector; M = N.
+    footprints : StoredCandidates
+        M = N.
     pictures : sequence of ViewPictures
         One for each view.
     indirect : iterable of IndirectPictures
         Indirect light in the pictures of each view, radiance.
     """
-    expected = _transposed(footprints)
-
-    def fitted_views() -> Iterator[Candidates]:
-        parts = split_views(expected, len(pictures))
-        for view, part, light in zip(pictures, parts, indirect, strict=True):
-            prior = part.with_variance(view.floodlit, *_DIFFERENCE)
-            yield fit_weights(prior, view, light, prior.weights)
-
-    return with_weights_of_views(expected, fitted_views(), len(pictures))
+    views = zip(pictures, _with_transposed_weights(footprints), indirect, strict=True)
+    for view, (completed, expected), light in views:
+        prior = replace(completed, weights=expected).with_variance(view.floodlit, *_DIFFERENCE)
+        yield fit_weights(prior, view, light, prior.weights)
 
 
-def _transposed(footprints: Candidates) -> Candidates:
-    """Return ``D^T``, with the candidates of `with_transposed`."""
-    completed, transposed = _with_transposed_weights(footprints)
-    return replace(completed, weights=transposed)
-
-
-def _with_transposed_weights(footprints: Candidates) -> tuple[Candidates, Float]:
+def _with_transposed_weights(footprints: StoredCandidates) -> Iterator[tuple[Candidates, Float]]:
     """Add the transposed candidates that have light, and return the transposed weights, too.
 
-    The variance is the larger one of an entry and of its transposed one with light. M = N.
+    The variance is the larger one of an entry and of its transposed one with light. M = N. The
+    columns of D on a projector view consist of a block for each camera view. The transposed block
+    is among the columns on another projector view. Two blocks are in memory at a time.
     """
-    from rfpipe.methods.footprints.kernels import with_transposed_candidates
+    from rfpipe.methods.footprints.kernels import CandidateEntries, with_transposed_candidates
 
-    keys, variance, weights, transposed = with_transposed_candidates(
-        footprints.keys, footprints.variance, footprints.weights, footprints.projector_size
-    )
-    return replace(footprints, keys=keys, variance=variance, weights=weights), transposed
+    size, views = footprints.projector_size, range(len(footprints))
+    ranges = [(view * size, (view + 1) * size) for view in views]
+    for view in views:
+        blocks, transposed = [], []
+        for other in views:
+            pair = (
+                footprints.between(view, *ranges[other]),
+                footprints.between(other, *ranges[view]),
+            )
+            direct, mirrored = (CandidateEntries(it.keys, it.variance, it.weights) for it in pair)
+            merged = with_transposed_candidates(direct, mirrored, size)
+            blocks.append(Candidates(size, size, merged.keys, merged.variance, merged.weights))
+            transposed.append(merged.transposed)
+        yield join_pixels(blocks), np.concatenate(transposed)

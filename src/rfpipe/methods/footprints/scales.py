@@ -7,13 +7,13 @@ of pictures are computed from the footprints at first, and stay the same at all 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import TINY, Bools, Float
-from rfpipe.methods.footprints.candidates import Candidates, on_view
+from rfpipe.methods.footprints.candidates import StoredCandidates
 from rfpipe.methods.footprints.charts import Chart, chart_from_view
 from rfpipe.methods.footprints.functions import (
     CameraToProjector,
@@ -40,9 +40,6 @@ from rfpipe.methods.images import beyond_noise
 from rfpipe.methods.smooth_light import coarse_to_fine
 from rfpipe.transport.multiscale import cells, coarsest_scale
 
-if TYPE_CHECKING:
-    from scipy.sparse import csr_array
-
 # Finer functions are added where the error exceeds this fraction of the floodlit image.
 _ALLOWED_ERROR = 0.004
 
@@ -55,7 +52,7 @@ class ScaleAccuracies(NamedTuple):
 
 
 def fit_indirect_light(
-    problem: Problem, footprints: Candidates, accuracies: ScaleAccuracies
+    problem: Problem, footprints: StoredCandidates, accuracies: ScaleAccuracies
 ) -> IndirectLight:
     """Fit S with functions of finer and finer scales, where the pictures need them."""
     camera, projector = problem.camera, problem.projector
@@ -105,47 +102,53 @@ class _Start(NamedTuple):
     data: FitData
 
 
-def _start(problem: Problem, footprints: Candidates) -> _Start:
+def _start(problem: Problem, footprints: StoredCandidates) -> _Start:
     """Compute the inputs of a fit of indirect light."""
     camera, grey = problem.camera, problem.grey
-    direct, floodlit = footprints.matrix(), floodlit_by_all(grey)
+    floodlit = floodlit_by_all(grey)
+    direct_light = np.zeros_like(floodlit)
+    for part in footprints:
+        direct_light += np.asarray(part.matrix().sum(axis=1)).ravel()
     # a single coaxial pair is left to near/far acquisition; here it counts as any rig of one view
     is_coaxial = len(grey) > 1 and camera == problem.projector and is_symmetric(footprints)
-    mapping = identity_map(camera.size) if is_coaxial else camera_to_projector(direct, floodlit)
-    f = camera_factor(direct, floodlit)
+    if is_coaxial:
+        mapping = identity_map(camera.size)
+    else:
+        mapping = camera_to_projector((part.matrix() for part in footprints), floodlit)
+    f = camera_factor(direct_light, floodlit)
     return _Start(
         _chart(problem, footprints),
         mapping,
         f,
         projector_factor(mapping, f, floodlit),
-        _mean_indirect_light(grey, floodlit, direct),
+        _mean_indirect_light(grey, footprints, floodlit - direct_light),
         fit_data(grey, footprints, problem.camera_rays),
     )
 
 
-def _chart(problem: Problem, footprints: Candidates) -> Chart:
+def _chart(problem: Problem, footprints: StoredCandidates) -> Chart:
     """Return the image of the middle projector view, or the camera's if there is one view."""
     views = len(problem.grey)
     if views == 1:
         return Chart(problem.camera.shape)
     middle = views // 2
-    direct = on_view(footprints, middle, views).matrix()
+    direct = footprints[middle].matrix()
     shape, floodlit = problem.projector.image_shape, problem.grey[middle].floodlit
     return chart_from_view(problem.camera, direct, shape, floodlit)
 
 
 def _mean_indirect_light(
-    pictures: PicturesByView, floodlit: Float, direct: csr_array[np.float32]
+    pictures: PicturesByView, footprints: StoredCandidates, indirect: Float
 ) -> float:
     """Estimate the mean indirect light of the floodlit image, radiance, at least 0.
 
     With one view it is measured where footprints are dark, in patterns with half of the pixels lit.
+    With several, it is the mean of `indirect`, the floodlit image minus direct light, (M,).
     """
-    direct_light: Float = np.asarray(direct.sum(axis=1)).ravel()
     if len(pictures) > 1:
-        return max(float((floodlit - direct_light).mean(dtype=np.float64)), 0.0)
-    (view,) = pictures
-    positive = np.maximum(direct_light, TINY)
+        return max(float(indirect.mean(dtype=np.float64)), 0.0)
+    (view,), direct = pictures, footprints[0].matrix()
+    positive = np.maximum(np.asarray(direct.sum(axis=1)).ravel(), TINY)
     light, weight = 0.0, 0.0
     for first, last in view.ranges():
         part = view.at(slice(first, last))

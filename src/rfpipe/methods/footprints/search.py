@@ -7,18 +7,12 @@ since their weights are marginalised there; other rays keep those with light.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
 from rfpipe.array_types import Float
-from rfpipe.methods.footprints.candidates import (
-    Candidates,
-    join_pixels,
-    join_views,
-    split_views,
-    with_weights_of_views,
-)
+from rfpipe.methods.footprints.candidates import Candidates, StoredCandidates, join_pixels
 from rfpipe.methods.footprints.geometry import first_candidates, refined_footprints
 from rfpipe.methods.footprints.indirect import IndirectLight
 from rfpipe.methods.footprints.pictures import IndirectPictures
@@ -30,39 +24,47 @@ FAINT = 0.005
 """Candidates below this fraction of the floodlit image are dropped between searches."""
 
 
-def first_footprints(problem: Problem) -> Candidates:
+def first_footprints(problem: Problem) -> StoredCandidates:
     """Search for footprints in the pictures alone, and fit their weights."""
-    views = []
-    for pictures, boxes in zip(problem.grey, problem.boxes, strict=True):
-        floodlit = pictures.floodlit
-        # only the rays in the fit of indirect light need the candidates without light
-        parts = [
-            _without_faint(problem, part, floodlit, 0.0, pixels)
-            for pixels, part in first_candidates(pictures, problem.camera, boxes)
-        ]
-        views.append(join_pixels(parts))
-    return join_views(views)
 
-
-def better_footprints(problem: Problem, footprints: Candidates, light: IndirectLight) -> Candidates:
-    """Search for footprints in the pictures minus indirect light, and fit their weights."""
-    grey, searched = problem.grey, []
-    views = zip(
-        grey, split_views(footprints, len(grey)), light.in_pictures(grey), problem.boxes,
-        strict=True,
-    )  # fmt: skip
-    for pictures, part, in_pictures, boxes in views:
-        floodlit = pictures.floodlit
-        # only the rays in the fit of indirect light need the faint candidates
-        refined = [
-            _without_faint(problem, fitted, floodlit, FAINT, pixels)
-            for pixels, fitted in refined_footprints(
-                pictures, part, in_pictures, problem.camera, boxes
+    def search() -> Iterator[Candidates]:
+        for pictures, boxes in zip(problem.grey, problem.boxes, strict=True):
+            floodlit = pictures.floodlit
+            # only the rays in the fit of indirect light need the candidates without light
+            yield join_pixels(
+                [
+                    _without_faint(problem, part, floodlit, 0.0, pixels)
+                    for pixels, part in first_candidates(pictures, problem.camera, boxes)
+                ]
             )
-        ]
-        searched.append(join_pixels(refined))
-    footprints = join_views(searched)
-    return with_transposed(footprints) if light.basis.mapping.shared_rays else footprints
+
+    return StoredCandidates.of(search())
+
+
+def better_footprints(
+    problem: Problem, footprints: StoredCandidates, light: IndirectLight
+) -> StoredCandidates:
+    """Search for footprints in the pictures minus indirect light, and fit their weights."""
+    grey, camera = problem.grey, problem.camera
+
+    def search() -> Iterator[Candidates]:
+        views = zip(grey, footprints, light.in_pictures(grey), problem.boxes, strict=True)
+        for pictures, part, indirect, boxes in views:
+            floodlit = pictures.floodlit
+            # only the rays in the fit of indirect light need the faint candidates
+            yield join_pixels(
+                [
+                    _without_faint(problem, fitted, floodlit, FAINT, pixels)
+                    for pixels, fitted in refined_footprints(
+                        pictures, part, indirect, camera, boxes
+                    )
+                ]
+            )
+
+    found = StoredCandidates.of(search())
+    if not light.basis.mapping.shared_rays:
+        return found
+    return StoredCandidates.of(with_transposed(found))
 
 
 def _without_faint(
@@ -80,9 +82,10 @@ def _without_faint(
 
 
 def fit_weights_of_views(
-    pictures: PicturesByView, footprints: Candidates, indirect: Iterable[IndirectPictures]
-) -> Candidates:
+    pictures: PicturesByView,
+    footprints: Iterable[Candidates],
+    indirect: Iterable[IndirectPictures],
+) -> StoredCandidates:
     """Fit the weights on each projector view to its pictures minus indirect light."""
-    views = zip(split_views(footprints, len(pictures)), pictures, indirect, strict=True)
-    fitted = (fit_weights(part, view, in_view) for part, view, in_view in views)
-    return with_weights_of_views(footprints, fitted, len(pictures))
+    views = zip(footprints, pictures, indirect, strict=True)
+    return StoredCandidates.of(fit_weights(part, view, in_view) for part, view, in_view in views)
