@@ -52,12 +52,14 @@ def fit_pixels(
     """Fit the light of the blocks of each pixel; write `light`, and `variance` for the next fit.
 
     Each iteration changes V by a power of the factor ``(max(t, 0)^2 + var(t)) / V`` of expectation
-    maximisation, which converges slowly. Pixel i has the entries ``starts[i]:starts[i + 1]`` of
-    blocks, variance and light, (n,) each.
+    maximisation, which converges slowly. V is at most the squared floodlit pixel, since no block
+    sends more light than all do. Pixel i has the entries ``starts[i]:starts[i + 1]`` of blocks,
+    variance and light, (n,) each.
     """
     for pixel in range(len(starts) - 1):
         c = pictures.radiance[pixel]
         active = np.arange(starts[pixel], starts[pixel + 1])
+        variance[active] = np.minimum(variance[active], c[0] ** 2)
         for _ in range(iterations):
             active = active[variance[active] > VANISHING * c[0] ** 2]
             light[starts[pixel] : starts[pixel + 1]] = 0

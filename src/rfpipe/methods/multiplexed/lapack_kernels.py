@@ -31,6 +31,8 @@ def _routine(name: str, *arguments: Any) -> Any:
 
 
 _EPSILON = float(np.finfo(np.float32).eps)
+# Increase of the diagonal with which any matrix of products is positive definite.
+_LARGEST_INCREASE = 1e6
 
 # fmt: off
 _add_products = _routine(
@@ -59,23 +61,34 @@ def add_products(S: Float, rows: Float) -> None:
 
 @numba.njit(cache=True, nogil=True)
 def whiten(S: Float, columns: Float) -> None:
-    """Replace columns (n, m) by ``L^-1 columns``, where ``S = L L^T``; S becomes L.
+    """Replace columns (n, m) by ``L^-1 columns``, where ``S = L L^T``.
 
     S is positive definite and given by its lower triangle. Its diagonal is increased by n times the
-    precision of float32, so that it stays positive definite when rounded [Higham, *Accuracy and
-    stability of numerical algorithms*, 2002, theorem 10.7].
+    precision of float32, which usually keeps it positive definite in spite of rounding, otherwise
+    by ten times as much [Higham, *Accuracy and stability of numerical algorithms*, 2002, theorem
+    10.7].
+
+    Raises
+    ------
+    ValueError
+        If S isn't finite.
     """
-    for i in range(len(S)):
-        S[i, i] *= 1 + len(S) * _EPSILON
     n, m = _number(len(S)), _number(columns.shape[1])
     no, upper, one = _letter(_NOT), _letter(_UPPER), np.ones(1, np.float32)
-    failed = _number(0)
-    _factorize(upper.ctypes, n.ctypes, S.ctypes, n.ctypes, failed.ctypes)
-    if failed[0] != 0:
-        raise ValueError("the matrix isn't positive definite")
+    increase, failed, L = len(S) * _EPSILON, _number(1), S
+    while failed[0] != 0:
+        if increase > _LARGEST_INCREASE:
+            raise ValueError("the matrix isn't finite")
+        L = S.copy()
+        for i in range(len(S)):
+            L[i, i] *= 1 + increase
+        _factorize(upper.ctypes, n.ctypes, L.ctypes, n.ctypes, failed.ctypes)
+        # not every LAPACK reports NaN, which spreads to the last row
+        failed[0] = failed[0] != 0 or not np.isfinite(L[-1, -1])
+        increase *= 10
     _solve_triangle(
         _letter(_RIGHT).ctypes, upper.ctypes, no.ctypes, no.ctypes, m.ctypes, n.ctypes,
-        one.ctypes, S.ctypes, n.ctypes, columns.ctypes, m.ctypes,
+        one.ctypes, L.ctypes, n.ctypes, columns.ctypes, m.ctypes,
     )  # fmt: skip
 
 

@@ -1,0 +1,40 @@
+"""Symmetric systems in compiled code, against NumPy in double precision."""
+
+import numpy as np
+import pytest
+
+from rfpipe.methods.multiplexed.lapack_kernels import add_products, whiten
+
+
+@pytest.mark.parametrize(("size", "columns"), [(1, 1), (1, 5), (7, 3), (40, 60)])
+def test_products_and_whitened_columns_agree_with_numpy(size: int, columns: int) -> None:
+    random = np.random.default_rng(size)
+    rows = random.normal(size=(size, columns)).astype(np.float32)
+    S = np.eye(size, dtype=np.float32)
+    add_products(S, rows)
+    expected = np.eye(size) + rows.astype(np.float64) @ rows.T
+    np.testing.assert_allclose(np.tril(S), np.tril(expected), rtol=1e-4, atol=1e-4)
+    whitened = rows.copy()
+    whiten(S, whitened)
+    np.testing.assert_allclose(
+        whitened, np.linalg.solve(np.linalg.cholesky(expected), rows), rtol=1e-3, atol=1e-4
+    )
+
+
+@pytest.mark.parametrize("light", [1e3, 1e6, 1e12])
+def test_a_matrix_that_rounding_makes_indefinite_is_whitened(light: float) -> None:
+    """All rows have the same products; the rest of the matrix is below their rounding."""
+    rows = np.full((50, 3), np.sqrt(light), np.float32)
+    S, whitened = np.eye(50, dtype=np.float32), rows.copy()
+    add_products(S, rows)
+    whiten(S, whitened)
+    assert np.isfinite(whitened).all()
+    explained = np.square(whitened, dtype=np.float64).sum(axis=0)
+    assert (explained < 1.01).all()
+
+
+def test_a_matrix_that_is_not_finite_is_rejected() -> None:
+    S = np.eye(4, dtype=np.float32)
+    S[2, 1] = np.nan
+    with pytest.raises(ValueError, match="finite"):
+        whiten(S, np.ones((4, 2), np.float32))
