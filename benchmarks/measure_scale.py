@@ -13,7 +13,7 @@ import argparse
 import multiprocessing
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cache
@@ -40,9 +40,6 @@ from rfpipe.transport.wavelet import cell_side
 MEASURED = Path(__file__).parents[1] / "docs" / "scale" / "measured.csv"
 _SEED = 3000  # of the relit pictures, which no method uses
 _MEMORY_GIB = 4.0
-_ROOM = ("texture", "white", "white")
-# A wedge of more points, or a room of more, takes minutes and gigabytes.
-_MOST_PATCHES, _MOST_ROOM_PATCHES = 2**17, 2**14
 
 
 @dataclass(frozen=True)
@@ -52,7 +49,7 @@ class Case:
     Attributes
     ----------
     name, kind : str
-        Name of the case; kind of scene, ``wedge``, ``room`` or ``aside``.
+        Name of the case; kind of scene, ``wedge``, ``room``, ``views`` of a room, or ``aside``.
     method : str
     target : float
         Target error.
@@ -87,7 +84,7 @@ CASES = {
         Case("wedge", "wedge", "near_far", 0.01, (768, 1024), (768, 1024)),
         Case("room", "room", "near_far", 0.01, (768, 1024), (768, 1024)),
         Case("aside", "aside", "footprints", 0.01, (1500, 2000), (800, 1280)),
-        Case("views", "room", "footprints", 0.02, (130, 200), (130, 200), (3, 3)),
+        Case("views", "views", "footprints", 0.02, (130, 200), (130, 200), (3, 3)),
     )
 }
 
@@ -98,33 +95,42 @@ CASES = {
 @cache
 def _scene(case: Case) -> Any:
     """Make the scene of a case, once in a process."""
+    from rfpipe.scenes.geometries import surface_names
     from rfpipe.scenes.light_field import room_scene
     from rfpipe.scenes.pinholes import Pinhole
-    from rfpipe.scenes.rooms import planes_scene
+    from rfpipe.scenes.rooms import REFERENCE_SCENES, planes_scene
 
+    shape, channels = case.camera, case.channels
+    if case.kind == "views":
+        return room_scene(("texture", "white", "white"), shape, views=case.views, channels=channels)
+    if case.kind == "aside":
+        projector = Pinhole(case.projector, position=(0.4, -0.1, 0.0), look_at=(0.0, 0.0, 3.0))
+        surfaces = ("texture", "texture")
+        return planes_scene("wedge", surfaces, shape, projector=projector, channels=channels)
     if case.kind == "wedge":
-        return _wedge(case.camera, case.channels)
-    if case.kind == "room":
-        patch = max(2, cell_side(case.camera, _MOST_ROOM_PATCHES))
-        return room_scene(_ROOM, case.camera, views=case.views, channels=case.channels, patch=patch)
-    projector = Pinhole(case.projector, position=(0.4, -0.1, 0.0), look_at=(0.0, 0.0, 3.0))
-    surfaces = ("texture", "texture")
-    return planes_scene("wedge", surfaces, case.camera, projector=projector, channels=case.channels)
+        return _planes(*REFERENCE_SCENES["IV"], shape, channels, 2**17)
+    names = surface_names("coloured_room")
+    return _planes("coloured_room", ["white"] * len(names), shape, channels, 2**14)
 
 
-def _wedge(shape: tuple[int, int], channels: int) -> Any:
-    """Make scene IV; of large images indirect light is computed between patches of pixels."""
+def _planes(
+    geometry: str, surfaces: Sequence[str], shape: tuple[int, int], channels: int, most_patches: int
+) -> Any:
+    """Make a coaxial scene; of large images indirect light is computed between patches of pixels.
+
+    More patches take minutes and gigabytes.
+    """
     from rfpipe.scenes.geometries import GEOMETRIES
     from rfpipe.scenes.pinholes import surface_points
     from rfpipe.scenes.radiosity import RadiosityScene
-    from rfpipe.scenes.rooms import reference_scene
+    from rfpipe.scenes.rooms import planes_scene
 
-    scene = reference_scene("IV", shape, channels=channels)
-    side = cell_side(shape, _MOST_PATCHES)
+    scene = planes_scene(geometry, surfaces, shape, channels=channels)
+    side = cell_side(shape, most_patches)
     if side == 1:
         return scene
     (_, *grid), patch_of_point = RayDomain(shape).square_cells(side)
-    patches = surface_points((grid[0], grid[1]), GEOMETRIES["wedge"]), patch_of_point
+    patches = surface_points((grid[0], grid[1]), GEOMETRIES[geometry]), patch_of_point
     name = f"{scene.name}, indirect light between patches of {side} x {side} pixels"
     return RadiosityScene(scene.points, scene.albedo, scale=scene.scale, patches=patches, name=name)
 

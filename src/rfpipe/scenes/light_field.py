@@ -38,6 +38,7 @@ ROOM_SURFACES = ("left wall", "right wall", "floor")
 
 _WIDTH = 0.76  # width of a view's image plane at distance 1; 42 degrees
 _PARTS = 3  # parts of a pixel along each axis, with a ray for each part
+_PATCH = 2  # texels along each axis of a patch, the unit of indirect light
 _TINTS: dict[str, Vector] = {
     "left wall": (1.05, 0.72, 0.55),
     "right wall": (0.62, 0.85, 1.05),
@@ -69,7 +70,6 @@ def room_scene(
     channels: int = 3,
     bounces: int = 3,
     seed: int = 0,
-    patch: int = 2,
 ) -> RadiosityScene:
     """Build the corner of a room with objects, seen by an array of views [Fig. 5.8].
 
@@ -84,9 +84,6 @@ def room_scene(
         Angles between the outermost columns, and rows, of the array, seen from the scene.
     channels, bounces, seed
         As for `planes_scene`.
-    patch
-        Texels along each axis of a patch, the unit of indirect light. A texel is about as large as
-        a pixel; with more than 20,000 patches a scene takes minutes and gigabytes.
 
     Raises
     ------
@@ -104,7 +101,6 @@ def room_scene(
         bounces=bounces,
         seed=seed,
         name=name,
-        patch=patch,
     )
 
 
@@ -117,13 +113,11 @@ def panels_scene(
     bounces: int,
     seed: int,
     name: str,
-    patch: int = 2,
 ) -> RadiosityScene:
     """Build a scene of panels; panels that don't enclose it are obstructions.
 
     A texel is about as large as a pixel at `DISTANCE`. Only texels that are seen by a ray are
-    included: light on all other texels is lost. `domain` is the shape of all pinholes' rays,
-    `patch` is the same as for `room_scene`.
+    included: light on all other texels is lost. `domain` is the shape of all pinholes' rays.
     """
     grid = TexelGrid(panels, DISTANCE * pinholes[0].pitch)
     visibility, footprint = texel_weights(pinholes, grid)
@@ -138,13 +132,13 @@ def panels_scene(
         bounces=bounces,
         scale=float(footprint.mean()) / len(pinholes),
         rays=Rays(domain, domain, visibility[:, texels]),
-        patches=grid.patches(texels, patch),
+        patches=grid.patches(texels, _PATCH),
         name=name,
         about={
             "views": [asdict(pinhole) for pinhole in pinholes],
             "panels": [asdict(panel) for panel in panels],
             "parts": _PARTS,
-            "patch": patch,
+            "patch": _PATCH,
         },
     )
 
