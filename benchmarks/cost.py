@@ -39,8 +39,8 @@ _RUNS = {  # of `make thesis` and config/large.yaml, RGB: shape of the rays, and
 def by_target(benchmark: Path) -> str:
     """Return the cost of `AUTO` at the benchmark's side, by light and target.
 
-    Costs are medians over the scenes that the newest code acquired; settings that ran on less than
-    half of them are omitted.
+    Costs are medians over the scenes that were acquired on the last day; settings that ran on less
+    than half of them are omitted.
 
     Parameters
     ----------
@@ -49,7 +49,7 @@ def by_target(benchmark: Path) -> str:
     """
     rows = newest(benchmark)
     rows = rows[(rows["method"] == AUTO) & (rows["side"] == SIDE) & (rows["status"] == "done")]
-    rows = rows[rows["code"] == rows["code"].iloc[-1]]
+    rows = rows[rows["date"] == rows["date"].max()]
     lines = []
     for light, target in product(CAMERAS, sorted(set(rows["value"]), reverse=True)):
         setting = rows[(rows["light"] == light) & (rows["value"] == target)]
