@@ -90,21 +90,26 @@ def average_variances(
 
     `camera` has the numbers of views, rows and columns.
     """
-    views, height, width = camera
     average = np.zeros_like(variance)
-    for pixel in range(views * height * width):
-        own = slice(blocks.starts[pixel], blocks.starts[pixel + 1])
-        view, place = divmod(pixel, height * width)
-        row, column = divmod(place, width)
+    for pixel in range(len(blocks.starts) - 1):
         count = 0
-        for r in range(max(row - 1, 0), min(row + 2, height)):
-            for c in range(max(column - 1, 0), min(column + 2, width)):
-                neighbour = (view * height + r) * width + c
-                if blocks.starts[neighbour] < blocks.starts[neighbour + 1]:
-                    count += 1
-                    _add_variances(blocks, variance, neighbour, pixel, average)
-        average[own] /= max(count, 1)
+        for neighbour in _neighbourhood(pixel, camera):
+            if blocks.starts[neighbour] < blocks.starts[neighbour + 1]:
+                count += 1
+                _add_variances(blocks, variance, neighbour, pixel, average)
+        average[blocks.starts[pixel] : blocks.starts[pixel + 1]] /= max(count, 1)
     return average
+
+
+@numba.njit(cache=True, nogil=True)
+def _neighbourhood(pixel: int, camera: tuple[int, int, int]) -> Index:
+    """Number a camera pixel and its neighbours in the same view, at most 9 pixels."""
+    _, height, width = camera
+    row_of_stack, column = divmod(pixel, width)
+    first = row_of_stack // height * height
+    rows = np.arange(max(row_of_stack - 1, first), min(row_of_stack + 2, first + height))
+    columns = np.arange(max(column - 1, 0), min(column + 2, width))
+    return (rows[:, None] * width + columns).ravel()
 
 
 @numba.njit(cache=True, nogil=True)
