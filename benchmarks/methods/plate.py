@@ -12,10 +12,9 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 import rfpipe
-from benchmarks.methods.cases import CAMERAS
+from benchmarks.methods.cases import CAMERAS, newest
 from benchmarks.methods.measure import CountingRig
 from benchmarks.methods.scenes import stage_of
 from rfpipe.report.drawing import Panel, difference, draw
@@ -51,13 +50,10 @@ def row_of(name: str, cache: Path) -> list[Any]:
 
 def nearest(name: str, patterns: int) -> float:
     """Return the tolerance with which dual photography took about as many patterns."""
-    table = pd.read_csv(_ACQUISITIONS, dtype={"side": str})
-    case = {"scene": name, "side": _SIDE, "light": _LIGHT, "seed": _SEED}
-    is_chosen = (table["method"] == "dual") & (table["status"] == "done")
-    for column, value in case.items():
-        is_chosen &= table[column] == value
-    index = np.abs(np.log(table.loc[is_chosen, "patterns"] / patterns)).idxmin()
-    return float(table.loc[index, "value"])
+    rows = newest(_ACQUISITIONS)
+    rows = rows[(rows["method"] == "dual") & (rows["status"] == "done") & (rows["scene"] == name)]
+    rows = rows[(rows["side"] == _SIDE) & (rows["light"] == _LIGHT) & (rows["seed"] == _SEED)]
+    return float(rows.loc[np.abs(np.log(rows["patterns"] / patterns)).idxmin(), "value"])
 
 
 def main() -> None:

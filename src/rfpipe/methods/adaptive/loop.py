@@ -143,8 +143,8 @@ class AdaptiveMethod(Method[AdaptiveState]):
             if schedule is None:
                 return None
             assert schedule.weights is not None
-            count = min(coming.count or schedule.count, schedule.count)
-            return Schedule(coming.key, shape, count, weights=schedule.weights[:count])
+            weights = schedule.weights[: coming.count or None]
+            return Schedule(coming.key, shape, len(weights), weights=weights)
         if coming.phase is Phase.MODEL:
             patterns = self._model(state).next_patterns(coming.key, coming.count)
         else:
