@@ -33,8 +33,10 @@ def test_a_matrix_that_rounding_makes_indefinite_is_whitened(light: float) -> No
     assert (explained < 1.01).all()
 
 
-def test_a_matrix_that_is_not_finite_is_rejected() -> None:
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+@pytest.mark.parametrize(("row", "column"), [(0, 0), (2, 1), (3, 0), (3, 3)])
+def test_a_matrix_that_is_not_finite_is_rejected(row: int, column: int, value: float) -> None:
     S = np.eye(4, dtype=np.float32)
-    S[2, 1] = np.nan
+    S[row, column] = value
     with pytest.raises(ValueError, match="finite"):
         whiten(S, np.ones((4, 2), np.float32))
