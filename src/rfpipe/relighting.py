@@ -107,16 +107,22 @@ def position_along(shape: tuple[int, int], angle: float) -> Double:
     return position
 
 
-def spot(shape: tuple[int, int], random: np.random.Generator, size: float | None = None) -> Bools:
-    """Draw a square spot of random size, or of `size` from 0, the smallest, to 1, the largest."""
-    height, width = shape
-    size = random.random() if size is None else size
-    side = min(round(_log_interpolate(2, max(2.0, min(shape) / 8), size)), height, width)
-    top = random.integers(0, height - side + 1)
-    first_column = random.integers(0, width - side + 1)
+def spot(shape: tuple[int, int], random: np.random.Generator) -> Bools:
+    """Draw a square spot of random size."""
     drawn = np.zeros(shape, np.bool_)
-    drawn[top : top + side, first_column : first_column + side] = True
+    drawn[spot_place(shape, random, random.random())] = True
     return drawn
+
+
+def spot_place(
+    shape: tuple[int, int], random: np.random.Generator, size: float
+) -> tuple[slice, slice]:
+    """Draw the rows and columns of a square spot of `size` from 0, the smallest, to 1."""
+    height, width = shape
+    side = min(round(_log_interpolate(2, max(2.0, min(shape) / 8), size)), height, width)
+    top = int(random.integers(0, height - side + 1))
+    left = int(random.integers(0, width - side + 1))
+    return slice(top, top + side), slice(left, left + side)
 
 
 def _log_interpolate(first: float, last: float, share: float) -> float:

@@ -65,15 +65,15 @@ def measure_symmetry(
     """
     count = len(pictures.signs)
     images = 2 * pictures.radiance - floodlit
-    noise = (4 * pictures.variance + variance).sum(axis=1)
+    noise = 4 * pictures.variance.sum(axis=1) + variance.sum(axis=0)
     ahead = np.einsum("in,nc->ic", pictures.signs, floodlit) - images.sum(axis=1)
     of_ones = _mean_square(ahead, noise + variance.sum(axis=0), count)
     forward = np.einsum("jn,inc->ijc", pictures.signs, images)
     first, second = np.triu_indices(count, 1)
     difference = forward[first, second] - forward[second, first]
     of_signs = _mean_square(difference, noise[first] + noise[second], count)
-    light = np.square(pictures.radiance).sum(axis=1) - pictures.variance.sum(axis=1)
-    unit = max(16 * float(light.sum(axis=1).mean()), _LEAST)
+    squares = np.array([float(np.vdot(picture, picture)) for picture in pictures.radiance])
+    unit = max(16 * float((squares - pictures.variance.sum(axis=(1, 2))).mean()), _LEAST)
     square = (of_ones[0] + of_signs[0]) / unit
     error = float(np.hypot(of_ones[1], of_signs[1])) / unit
     # standard error of the square root: error / (2 root) for a large root, sqrt(error) near zero

@@ -198,7 +198,7 @@ def _compare(
     known = picture.known
     noise, dark = picture.noise[known], picture.dark[known]
     measured = picture.radiance[:, known]
-    predicted = _predicted(transport, parts, known, dark)
+    predicted = _predicted(transport, parts, known, picture.dark)
     squared_error, unpredicted = -noise, -noise
     for total, light in zip(predicted.total, measured, strict=True):
         squared_error += np.square(total - light)
@@ -247,22 +247,24 @@ class _Predicted(NamedTuple):
 
 
 def _predicted(transport: Transport, parts: Bools, known: Bools, dark: Bools) -> _Predicted:
-    """Relight the parts (parts, N) of a pattern, a few at a time."""
-    pixels = int(np.count_nonzero(known))
-    total = np.zeros((transport.channels, pixels))
-    brightest, most = np.zeros(pixels, np.int64), np.full(pixels, -np.inf, np.float32)
+    """Relight the parts (parts, N) of a pattern, a few at a time.
+
+    `known` and `dark`, (M,), are the known pixels, and those without direct light.
+    """
+    from rfpipe.methods.estimate_kernels import RelitParts, add_part
+
+    pixels = known.size
+    relit = RelitParts(
+        np.zeros((transport.channels, pixels)),
+        np.zeros(pixels, np.int64),
+        np.full(pixels, -np.inf, np.float32),
+    )
     light, dark_light = np.zeros(len(parts)), 0.0
-    for first, last in batches(len(parts), transport.channels * max(known.size, parts.shape[1])):
-        pictures = relight_white(transport, parts[first:last])
-        for part, picture in enumerate(pictures[..., known], first):
-            total += picture
-            brightness = picture.sum(axis=0)
-            brightest[brightness > most] = part
-            np.maximum(most, brightness, out=most)
-            squares = np.square(picture, dtype=np.float64).sum(axis=0)
-            light[part] = squares.sum()
-            dark_light += float(squares[dark].sum())
-    return _Predicted(total, brightest, light, dark_light)
+    for first, last in batches(len(parts), transport.channels * max(pixels, parts.shape[1])):
+        for part, picture in enumerate(relight_white(transport, parts[first:last]), first):
+            light[part], light_on_dark = add_part(relit, part, picture, known, dark)
+            dark_light += light_on_dark
+    return _Predicted(relit.total[:, known], relit.brightest[known], light, dark_light)
 
 
 def _parts_over_pattern(parts: Bools, floodlit_squared_error: float, squared_error: float) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 from rfpipe.array_types import Bools
 from rfpipe.blocks import RayDomain
 from rfpipe.provenance import generator
-from rfpipe.relighting import position_along, shapes, spot
+from rfpipe.relighting import position_along, shapes, spot_place
 
 HELD_OUT = ("shapes", "bars", "spots", "shapes", "bars", "spots")
 """Kinds of the held-out pictures. Both pictures of shapes have one pattern: their difference is
@@ -102,17 +102,21 @@ def _bars(shape: tuple[int, int], random: np.random.Generator, angle: float) -> 
 def _spots(shape: tuple[int, int], random: np.random.Generator) -> Bools:
     """Draw spots of all sizes, each far from those before it, bool (spots, H, W)."""
     spots: list[Bools] = []
-    centres = np.empty((0, 2))
+    centres, is_lit = np.empty((0, 2)), np.zeros(shape, np.bool_)
     for size in (random.permutation(_SPOTS) + random.random(_SPOTS)) / _SPOTS:
-        candidates = [spot(shape, random, size) for _ in range(_CANDIDATES)]
-        middles = np.array([np.argwhere(candidate).mean(axis=0) for candidate in candidates])
+        candidates = [spot_place(shape, random, size) for _ in range(_CANDIDATES)]
+        middles = np.array(
+            [[(part.start + part.stop - 1) / 2 for part in place] for place in candidates]
+        )
         distances = np.linalg.norm(middles[:, None] - centres, axis=-1)
         best = int(np.argmax(distances.min(axis=1, initial=np.inf)))
+        added = np.zeros(shape, np.bool_)
         # on tiny images, spots would overlap
-        added = candidates[best] & ~np.any(spots, axis=0)
-        if spots and np.sum(spots) + added.sum() > _MOST_LIT * added.size:
+        added[candidates[best]] = ~is_lit[candidates[best]]
+        if spots and is_lit.sum() + added.sum() > _MOST_LIT * added.size:
             break
         if added.any():
             spots.append(added)
+            is_lit |= added
         centres = np.concatenate([centres, middles[best : best + 1]])
     return np.stack(spots)

@@ -98,9 +98,13 @@ class DarkFrames(FrameRange):
     @property
     def variance(self) -> NDArray[np.float64]:
         """Variance of each sample between two or more brackets, shape (E, ...)."""
-        shift = self._total - self.count * self._first
-        spread = np.maximum(self._squares - np.square(shift) / self.count, 0)
-        return np.asarray(spread / (self.count - 1))
+        spread = self._total - self.count * self._first
+        np.square(spread, out=spread)
+        spread /= self.count
+        np.subtract(self._squares, spread, out=spread)
+        np.maximum(spread, 0, out=spread)
+        spread /= self.count - 1
+        return spread
 
 
 def find_defects(dark: DarkFrames, lit: FrameRange, sensor: Sensor) -> DefectMap:
@@ -149,11 +153,12 @@ def _constant(dark: DarkFrames, lit: FrameRange) -> Bools:
     """Find photosites with constant counts in all frames, unless this is possible by chance."""
     constant: Bools = (dark.smallest == dark.largest) & (lit.smallest == dark.smallest)
     constant &= lit.largest == dark.smallest
+    none = np.zeros(constant.shape[1:], np.bool_)
+    if dark.count < 2 or not constant.all(axis=0).any():
+        return none
     # a black level at 0 counts clips the noise
     constant &= ~((dark.smallest == 0) & (np.median(dark.smallest) == 0))
     stuck: Bools = np.asarray(constant.all(axis=0))
-    if dark.count < 2:
-        return np.zeros_like(stuck)
     chance = log(constant[0].size)
     for variance in dark.variance:
         # standard deviation of the noise before rounding [Sheppard 1898]
@@ -161,7 +166,7 @@ def _constant(dark: DarkFrames, lit: FrameRange) -> Bools:
         # constant counts are most probable for a mean at an integer
         once = erf(1 / (np.sqrt(8) * deviation)) if deviation else 1.0
         chance += (dark.count + lit.count) * log(once)
-    return stuck if chance < -(DEFECT_SIGNIFICANCE**2) / 2 else np.zeros_like(stuck)
+    return stuck if chance < -(DEFECT_SIGNIFICANCE**2) / 2 else none
 
 
 def _threshold(size: int) -> float:

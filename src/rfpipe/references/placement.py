@@ -92,7 +92,7 @@ def placement_of(signs: Double, pictures: Double, floodlit: Double) -> Placement
     if norm == 0:
         return Placement()
     correlations = {
-        name: float((pattern * response).sum()) / norm for name, pattern in _displaced(signs)
+        name: product / norm for name, product in _products_with_displaced(signs, response)
     }
     best = max(correlations, key=lambda name: correlations[name])
     threshold = max(_CLEAR_FACTOR * correlations[""], _SIGNIFICANCE / np.sqrt(signs.size))
@@ -118,17 +118,28 @@ def _missed_edge(is_lit: NDArray[np.bool_], is_projected: NDArray[np.bool_]) -> 
     return largest
 
 
-def _displaced(signs: Double) -> Iterator[tuple[str, Double]]:
-    """Yield the patterns in place, mirrored and shifted, with the names of the displacements."""
-    yield "", signs
-    yield "mirrored left to right", signs[:, :, ::-1]
-    yield "mirrored top to bottom", signs[:, ::-1]
-    yield "turned upside down", signs[:, ::-1, ::-1]
+def _products_with_displaced(signs: Double, response: Double) -> Iterator[tuple[str, float]]:
+    """Yield ``<D s, r>`` of the patterns in place, mirrored and shifted, with names of each D."""
+    yield "mirrored left to right", float(np.vdot(signs[:, :, ::-1], response))
+    yield "mirrored top to bottom", float(np.vdot(signs[:, ::-1], response))
+    yield "turned upside down", float(np.vdot(signs[:, ::-1, ::-1], response))
+    products = _products_with_shifted(signs, response)
     shifts = range(-_MAX_SHIFT, _MAX_SHIFT + 1)
     for down, right in ((down, right) for down in shifts for right in shifts):
-        if (down or right) and abs(down) < signs.shape[1] and abs(right) < signs.shape[2]:
+        if abs(down) < signs.shape[1] and abs(right) < signs.shape[2]:
             name = f"shifted by {_shift(down, 'down', 'up')}{_shift(right, 'right', 'left')}"
-            yield name.rstrip(), np.roll(signs, (down, right), axis=(1, 2))
+            yield name.rstrip() if down or right else "", float(products[down, right])
+
+
+def _products_with_shifted(signs: Double, response: Double) -> Double:
+    """Compute ``<D s, r>`` for all periodic shifts D, (H, W), by the convolution theorem."""
+    from scipy.fft import irfft2, rfft2
+
+    height, width = signs.shape[1:]
+    spectrum = np.zeros((height, width // 2 + 1), np.complex128)
+    for pattern, image in zip(signs, response, strict=True):
+        spectrum += np.conj(rfft2(pattern)) * rfft2(image)
+    return np.asarray(irfft2(spectrum, s=(height, width)))
 
 
 def _shift(rays: int, positive: str, negative: str) -> str:
