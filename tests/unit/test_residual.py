@@ -61,7 +61,11 @@ def test_cells_are_as_small_as_their_largest_number_allows(
     totals = cells.total(images)
     for cell in {0, cells.count // 2, cells.count - 1}:
         np.testing.assert_allclose(totals[cell], images[:, cells.of_ray == cell].sum(axis=1), 1e-5)
-    np.testing.assert_array_equal(cells.spread(totals)[1], totals[cells.of_ray, 1])
+    factor = images[0]
+    np.testing.assert_allclose(
+        cells.total_of_products(images, factor), cells.total(images * factor), rtol=1e-5
+    )
+    np.testing.assert_array_equal(cells.spread(totals, factor)[1], totals[cells.of_ray, 1] * factor)
 
 
 # --- the posterior

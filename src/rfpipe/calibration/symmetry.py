@@ -32,12 +32,12 @@ class SignPictures(NamedTuple):
     ----------
     signs : ndarray of float64, shape (count, N)
         -1 or 1.
-    radiance, variance : ndarray of float64, shape (count, N, C)
+    radiance, variance : ndarray of float32 or float64, shape (count, N, C)
     """
 
     signs: Double
-    radiance: Double
-    variance: Double
+    radiance: NDArray[Any]
+    variance: NDArray[Any]
 
 
 SymmetryImages = tuple[Double, Double, SignPictures]
@@ -63,17 +63,24 @@ def measure_symmetry(
     ``K p / 2 = (K 1 + K s1) / 4``, whose mean square is ``(||K 1||^2 + ||K s1||^2) / 16``. Relative
     to ``||T p||^2`` it is the squared result. The expected mean square of the noise is subtracted.
     """
-    count = len(pictures.signs)
-    images = 2 * pictures.radiance - floodlit
-    noise = 4 * pictures.variance.sum(axis=1) + variance.sum(axis=0)
-    ahead = np.einsum("in,nc->ic", pictures.signs, floodlit) - images.sum(axis=1)
-    of_ones = _mean_square(ahead, noise + variance.sum(axis=0), count)
-    forward = np.einsum("jn,inc->ijc", pictures.signs, images)
+    count, channels = len(pictures.signs), floodlit.shape[1]
+    of_floodlit = variance.sum(axis=0)
+    noise = 4 * pictures.variance.sum(axis=1, dtype=np.float64) + of_floodlit
+    total, light = np.empty((2, count, channels))
+    forward = np.empty((count, count, channels))
+    # picture by picture, to save memory
+    for index, picture in enumerate(pictures.radiance):
+        light[index] = np.einsum("nc,nc->c", picture, picture, dtype=np.float64)
+        image = 2 * picture - floodlit
+        total[index] = image.sum(axis=0)
+        forward[:, index] = pictures.signs @ image
+    ahead = pictures.signs @ floodlit - total
+    of_ones = _mean_square(ahead, noise + of_floodlit, count)
     first, second = np.triu_indices(count, 1)
     difference = forward[first, second] - forward[second, first]
     of_signs = _mean_square(difference, noise[first] + noise[second], count)
-    squares = np.array([float(np.vdot(picture, picture)) for picture in pictures.radiance])
-    unit = max(16 * float((squares - pictures.variance.sum(axis=(1, 2))).mean()), _LEAST)
+    light -= pictures.variance.sum(axis=1, dtype=np.float64)
+    unit = max(16 * float(light.sum(axis=1).mean()), _LEAST)
     square = (of_ones[0] + of_signs[0]) / unit
     error = float(np.hypot(of_ones[1], of_signs[1])) / unit
     # standard error of the square root: error / (2 root) for a large root, sqrt(error) near zero

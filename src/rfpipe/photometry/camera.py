@@ -243,12 +243,16 @@ class CountsMerge:
         ]
         self._full_scale = camera.full_scale_radiance
         self._usable_below = COUNTS(np.ceil(SATURATION_FRACTION * camera.white_level))
+        self._is_linear = camera.response_gamma == 1
         table = electrons_of_counts(camera)
-        background = np.interp(black, np.arange(len(table)), table).astype(np.float32)
+        if self._is_linear:
+            background = black - np.float32(camera.black_level_counts)
+            background *= np.float32(camera.electrons_per_count)
+        else:
+            background = np.interp(black, np.arange(len(table)), table).astype(np.float32)
         # the size of a count in electrons is the slope of the inverse response
         steps = np.square(np.gradient(table)).astype(np.float32) / 12
         noise = _fixed_noise(camera, background, black_count)
-        self._is_linear = camera.response_gamma == 1
         self._table, self._steps = table, steps
         self._background = (black if self._is_linear else background).reshape(len(black), -1)
         self._noise = (noise + steps[0] if self._is_linear else noise).reshape(len(black), -1)

@@ -12,9 +12,8 @@ from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from rfpipe.array_types import Double
+from rfpipe.array_types import Double, Float
 from rfpipe.calibration.symmetry import (
     CONFIDENCE,
     SignPictures,
@@ -198,10 +197,11 @@ def measure_asymmetry(
     radiance = _flat(np.concatenate([picture.radiance for picture in merged]))
     variance = _flat(np.concatenate([picture.variance for picture in merged]))
     if brightness is not None:
-        radiance /= brightness[:, None]
-        variance /= brightness[:, None] ** 2
-    floodlit, floodlit_variance = _flat(
-        np.stack([references.floodlit, references.floodlit_variance])
+        radiance /= brightness[:, None].astype(np.float32)
+        variance /= np.square(brightness[:, None]).astype(np.float32)
+    floodlit, floodlit_variance = (
+        _flat(image[None])[0].astype(np.float64)
+        for image in (references.floodlit, references.floodlit_variance)
     )
     signs = random_signs(references.floodlit.shape[:-1], count, seed=0)
     pictures = SignPictures(signs.reshape(count, -1), radiance, variance)
@@ -230,7 +230,7 @@ def _excess(pictures: SignPictures, floodlit: Double) -> float:
     grey = floodlit.sum(axis=-1)
     total = float(grey.sum()) or 1.0
     expected = (pictures.signs @ grey + total) / 2
-    excess = (pictures.radiance.sum(axis=(1, 2)) - expected) / total
+    excess = (pictures.radiance.sum(axis=(1, 2), dtype=np.float64) - expected) / total
     mean, deviation = float(excess.mean()), float(excess.std(ddof=1) / np.sqrt(len(excess)))
     return mean if abs(mean) > max(_MIN_EXCESS, _EXCESS_SIGNIFICANCE * deviation) else 0.0
 
@@ -239,11 +239,11 @@ def _place(signs: Double, pictures: SignPictures, floodlit: Double) -> str:
     """Describe a displacement of the pictures; "" for none, and for a light field."""
     if signs.ndim != 3:
         return ""
-    light = pictures.radiance.sum(axis=-1).reshape(signs.shape)
+    light = pictures.radiance.sum(axis=-1, dtype=np.float64).reshape(signs.shape)
     return placement_of(signs, light, floodlit.sum(axis=-1).reshape(signs.shape[1:])).text
 
 
-def _flat(images: NDArray[np.float32]) -> Double:
-    """Reshape images to (B, N, C), in float64; masked pixels become 0."""
-    flat = images.reshape(len(images), -1, images.shape[-1]).astype(np.float64)
-    return np.where(np.isfinite(flat), flat, 0.0)
+def _flat(images: Float) -> Float:
+    """Reshape images to (B, N, C); masked pixels become 0."""
+    flat = images.reshape(len(images), -1, images.shape[-1])
+    return np.where(np.isfinite(flat), flat, np.float32(0))

@@ -343,10 +343,8 @@ def relight_smooth(
     -------
     ndarray of float32, shape (P, N)
     """
-    received = exchanged(basis, pairs, cores, basis.sums @ cells.total(patterns * factor))
-    images: Float = cells.spread(basis.weights @ received)
-    images *= factor
-    return images
+    light = basis.sums @ cells.total_of_products(patterns, factor)
+    return cells.spread(basis.weights @ exchanged(basis, pairs, cores, light), factor)
 
 
 def exchanged(

@@ -213,9 +213,24 @@ class Cells:
         sums: Float = self.sums @ np.asarray(images.T, np.float32)
         return sums
 
-    def spread(self, values: Float) -> Float:
-        """Give the rays of P images, (P, N), the values (cells, P) of their cells."""
-        return np.ascontiguousarray(values[self.of_ray].T)
+    def total_of_products(self, images: NDArray[Any], factor: Float) -> Float:
+        """Sum P images (P, N) times a factor (N,) over cells, (cells, P)."""
+        from rfpipe.transport.cell_kernels import add_to_cells
+
+        sums = np.zeros((self.count, len(images)), np.float32)
+        add_to_cells(images, factor, self.of_ray, sums)
+        return sums
+
+    def spread(self, values: Float, factor: Float) -> Float:
+        """Give the rays of P images, (P, N), the values (cells, P) of their cells times a factor.
+
+        The factor has a value for each ray, (N,).
+        """
+        from rfpipe.transport.cell_kernels import spread_over_cells
+
+        images = np.empty((values.shape[1], len(factor)), np.float32)
+        spread_over_cells(values, factor, self.of_ray, images)
+        return images
 
     def shared_out(self, values: Float, over: Float) -> csr_array[np.float32]:
         """Divide an image (N,) by the value `over` of each cell; sparse (N, cells)."""
@@ -256,8 +271,8 @@ class WaveletTransport(FunctionPairTransport):
         from rfpipe.transport.pair_kernels import couple
 
         factor, cells = self._content["factor"][channel], self.cells
-        sent = cells.haar.forward(cells.total(light * factor))
+        sent = cells.haar.forward(cells.total_of_products(light, factor))
         received = np.zeros_like(sent)
         first, second = self._content["pairs"]
         couple(first, second, self._content["cores"][channel], sent, received)
-        return cells.spread(cells.haar.inverse(received)) * factor
+        return cells.spread(cells.haar.inverse(received), factor)

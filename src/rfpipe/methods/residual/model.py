@@ -177,7 +177,7 @@ class CameraCells:
 
     def _sums_over_weight(self, weight: Float, images: Float, factor: Float) -> Float:
         """Divide the sums of images times a factor over each cell by a weight of each cell."""
-        sums = self.cells.total(images * factor).T
+        sums = self.cells.total_of_products(images, factor).T
         return np.divide(sums, weight, out=np.zeros(sums.shape, np.float32), where=weight > 0)
 
 
