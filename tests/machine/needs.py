@@ -14,18 +14,20 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-__all__ = ["HINTS", "hide", "need", "program"]
+__all__ = ["DIST", "HINTS", "hide", "need", "program"]
 
 HINTS = {
     "aravis": "apt-get install libaravis-0.8-0",
     "chromium": "apt-get install chromium",
     "llvm": "apt-get install libllvm19",
+    "release": "make dist",
     "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
     "validators": "make validators",
     "xvfb": "apt-get install xvfb",
 }
 """How each is installed."""
 
+DIST = Path(__file__).parents[2] / "dist"
 VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
 
 _PROGRAMS = {
@@ -66,8 +68,8 @@ def _is_here(name: str) -> bool:
             return bool(load_aravis())
         except CaptureError:
             return False
-    if name == "validators":
-        return VALIDATORS.exists()
+    if name in ("release", "validators"):
+        return any(DIST.glob("*.whl")) if name == "release" else VALIDATORS.exists()
     if name == "slurm":
         return os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS[name]))
     return program(name) is not None
