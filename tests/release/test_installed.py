@@ -13,6 +13,7 @@ from pathlib import Path
 import pytest
 from tests.machine.pythons import found_pythons
 
+from rfpipe.installation import DISTRIBUTION
 from rfpipe.store import read_manifest
 
 ROOT = Path(__file__).parents[2]
@@ -175,12 +176,12 @@ def test_the_wheel_works_without_the_clone(python: str, release: Path, tmp_path:
     record = read_manifest(installed.folder / "results" / "run.json")
     assert any("rfpipe/_workflow/Snakefile" in option for option in record["options"])
     for extra, commands in MISSING.items():
-        remedy = f'run pip install "reflectance-fields[{extra}]"'
+        remedy = f'run pip install "{DISTRIBUTION}[{extra}]"'
         for command in commands:
             message = installed.run(command, status=1)
             assert remedy in message, f"{command}\n{message}"
             assert "Traceback" not in message, f"{command}\n{message}"
-    installed.install("--constraint", constraints(tmp_path), "reflectance-fields[export]")
+    installed.install("--constraint", constraints(tmp_path), f"{DISTRIBUTION}[export]")
     installed.run("rfpipe export results/tiny/near_far -o t.mat")
 
 
