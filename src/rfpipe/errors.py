@@ -16,14 +16,6 @@ _USER_OF_URL = re.compile(r"(:/+)[^/\s'\"]*@")
 """User name and password of a URL; a Path made from a URL has a single slash before them."""
 
 
-def installing(extra: str) -> str:
-    """Return the remedy for a missing extra of rfpipe.
-
-    It names a clone because on the package index "rfpipe" is another program.
-    """
-    return f"run pip install '.[{extra}]' in your clone of rfpipe"
-
-
 class RfpipeError(Exception):
     """Base class of the errors that rfpipe raises on purpose.
 

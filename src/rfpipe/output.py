@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import IO, Any, NamedTuple
 
 from rfpipe.errors import InputError, StoreError
+from rfpipe.platforms import sync
 
 _FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _FORBIDDEN = (errno.EACCES, errno.EPERM, errno.EROFS)
@@ -224,8 +225,7 @@ def whole_file(
         path.parent.mkdir(parents=True, exist_ok=True)
         try:
             yield partial
-            with partial.open("rb") as file:
-                os.fsync(file.fileno())
+            sync(partial)
             if partial.stat().st_size < least_bytes:
                 raise damage_of(path, partial, "it is truncated")
             if check is not None:
@@ -317,7 +317,7 @@ def free_bytes(folder: Path) -> int:
 def mount_point(path: Path) -> Path:
     """Return the folder at which the disk of a file is mounted."""
     folder = _existing(path.absolute().parent)
-    while folder != folder.parent and not folder.is_mount():
+    while folder != folder.parent and not os.path.ismount(folder):
         folder = folder.parent
     return folder
 

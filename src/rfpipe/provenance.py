@@ -27,12 +27,6 @@ _WITHOUT_EFFECT_ON_RESULTS = (
 """Code of rfpipe that displays or serves results or runs jobs, without changing results."""
 
 
-def workflow_folder() -> Path:
-    """Return the folder with the Snakefile: the clone of rfpipe, or a folder of the package."""
-    installed = _PACKAGE / "_workflow"
-    return installed if installed.is_dir() else _PACKAGE.parents[1]
-
-
 def fingerprint(value: object) -> str:
     """Return the digest of a value, the same on every machine and in every process.
 

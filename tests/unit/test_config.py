@@ -126,6 +126,8 @@ scenes: {a: {kind: captured, shape: 4 x 5}} -> a: capture.rig should be remote o
 {scenes: {a: {kind: captured, camera_shape: 6 x 7}},capture: {rig: remote}} -> a.methods: .* rig
 scenes: {a: {kind: plane, surfaces: [white], projector: {position: [1, 0, 0]}}} -> a.methods: .* rig
 scenes: {a: {kind: room, methods: {duel: }}} -> scenes.a.methods.duel: 'duel' is unknown
+scenes: {con: {kind: plane}} -> scenes.con: no folder can have this name on Windows
+methods: {lpt1: {method: dual}} -> methods.lpt1: no folder can have this name on Windows
 """
 
 

@@ -103,7 +103,7 @@ def test_arrays_of_other_libraries_are_matrices_and_pictures(kind) -> None:
 def test_a_labelled_matrix_for_xarray(monkeypatch: pytest.MonkeyPatch) -> None:
     transport = DenseTransport(CAMERA, PROJECTOR, 3, [], {"matrix": T.astype(np.float32)})
     monkeypatch.setitem(sys.modules, "xarray", None)
-    with pytest.raises(InputError, match=r"pip install '\.\[xarray\]'"):
+    with pytest.raises(InputError, match=r'pip install --editable "\.\[xarray\]"'):
         transport.to_xarray()
     made = lambda *given: SimpleNamespace(values=given[0], coords=given[1], dims=given[2])  # noqa: E731
     monkeypatch.setitem(sys.modules, "xarray", SimpleNamespace(DataArray=made))

@@ -201,5 +201,5 @@ def verified(path: Path | str, status: int = 0) -> str:
 
 def test_the_extra_is_named_where_it_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "obstore.store", None)
-    with pytest.raises(StoreError, match=r"pip install '\.\[publish\]'"):
+    with pytest.raises(StoreError, match=r"pip install .*\[publish\]"):
         rfpipe.open_transport("https://example.org/crate.zip")

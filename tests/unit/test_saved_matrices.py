@@ -131,7 +131,7 @@ def test_the_extra_is_named_where_its_package_is_missing(
     tmp_path: Path, monkeypatch, suffix: str
 ) -> None:
     monkeypatch.setitem(sys.modules, "h5py", None)
-    with pytest.raises(StoreError, match=r"Write an \.npz, or run pip install '\.\[export\]'"):
+    with pytest.raises(StoreError, match=r"needs the extra export: .*; run pip install"):
         transport_of(1).save(tmp_path / f"matrix{suffix}")
     assert not list(tmp_path.iterdir())
     transport_of(1).save(tmp_path / "matrix.npz")

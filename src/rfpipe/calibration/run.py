@@ -7,6 +7,7 @@ from collections.abc import Iterable
 from contextlib import closing, nullcontext
 from dataclasses import replace
 from functools import partial
+from importlib import import_module
 from pathlib import Path
 
 from rfpipe.calibration.context import DeviceError, ProgressBar, StepContext, camera_numbers
@@ -16,6 +17,7 @@ from rfpipe.calibration.steps import Step, calibrate_settings, steps_of
 from rfpipe.calibration.verdicts import Findings, Verdict
 from rfpipe.config import CalibrationConfig, RigConfig
 from rfpipe.errors import InputError, RfpipeError
+from rfpipe.installation import needing
 from rfpipe.output import storage_errors
 from rfpipe.photometry import Resampling
 from rfpipe.provenance import fingerprint, plain_data
@@ -70,8 +72,11 @@ def calibrate_rig(
 ) -> None:
     """Open the devices of a rig, calibrate, and close them.
 
-    Parameters and errors as `calibrate`; ConfigError also where the rig has no devices.
+    Parameters and errors as `calibrate`; ConfigError also where the rig has no devices,
+    InputError where OpenCV isn't installed.
     """
+    with needing("rig", "a calibration"):
+        import_module("cv2")
     projector, camera = devices_from_config(config.model_copy(update={"calibration": None}))
     with closing(projector), closing(camera):
         place = CalibrationFolder(folder)

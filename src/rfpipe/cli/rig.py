@@ -27,8 +27,11 @@ def aim(
     import logging
 
     from rfpipe.config import load_rig_config
+    from rfpipe.installation import needing
     from rfpipe.rigs.build import devices_from_config
-    from rfpipe.server.aim import aim as run
+
+    with needing("rig", "rfpipe aim"):
+        from rfpipe.server.aim import aim as run
 
     logging.basicConfig(format="%(message)s")
     config = load_rig_config(rig).model_copy(update={"calibration": None})
@@ -143,11 +146,14 @@ def serve(
     unencrypted HTTP; an SSH tunnel is safer.
     """
     from rfpipe.config import load_rig_config
+    from rfpipe.installation import needing
     from rfpipe.rigs.build import rig_from_config
     from rfpipe.rigs.calibrated import calibration_of, check_verdicts
     from rfpipe.rigs.messages import read_token
     from rfpipe.server import ServerSettings
-    from rfpipe.server.run import serve as run
+
+    with needing("rig", "rfpipe serve"):
+        from rfpipe.server.run import serve as run
 
     settings = ServerSettings(
         host=host,

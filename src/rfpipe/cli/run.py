@@ -60,12 +60,13 @@ def run(context: typer.Context) -> None:
     Exit status 1 if a job failed, or if the error in the verification pictures of a real rig
     exceeds the target error. A Snakefile in the current folder, or --snakefile, replaces rfpipe's.
     """
-    from rfpipe.cli.targets import check_forced_rules, check_no_settings_file
+    from rfpipe.cli.targets import check_executor, check_forced_rules, check_no_settings_file
     from rfpipe.storage.run_record import program
 
     options = _Options.of(context.args)
     if options.help_all:
         raise typer.Exit(subprocess.call([program("snakemake"), "--help"]))
+    check_executor(options.passed_on)
     settings = _checked(options)
     if not options.has_own_snakefile:
         check_no_settings_file(options.without_files)
@@ -147,7 +148,7 @@ class _Options:
 
 
 def _rfpipe_snakefile() -> Path:
-    from rfpipe.provenance import workflow_folder
+    from rfpipe.installation import workflow_folder
 
     return workflow_folder() / "Snakefile"
 

@@ -5,12 +5,17 @@ from __future__ import annotations
 import re
 from argparse import ArgumentParser
 from collections.abc import Sequence
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Literal
 
+import yaml
+
 from rfpipe.errors import InputError
+from rfpipe.installation import installing
 from rfpipe.text import similar_names
 
+_CLUSTER_EXECUTORS = ("cluster-generic", "slurm")
 _FORCED = ("--forcerun", "-R")
 _RULE = re.compile(r"^(?:rule|checkpoint) (\w+):", re.MULTILINE)
 _WITHOUT_VALUE = (
@@ -41,6 +46,33 @@ def check_no_settings_file(arguments: Sequence[str]) -> None:
                 f"{word} isn't a target of the run",
                 remedy=f"Give a settings file after --configfile: rfpipe run --configfile {word}",
             )
+
+
+def check_executor(arguments: Sequence[str]) -> None:
+    """Raise InputError for an executor of the extra cluster that isn't installed.
+
+    Parameters
+    ----------
+    arguments : sequence of str
+        Arguments for Snakemake.
+    """
+    parser = ArgumentParser(add_help=False, allow_abbrev=False)
+    parser.add_argument("--executor", "-e")
+    parser.add_argument("--profile", "--workflow-profile", type=Path, action="append", default=[])
+    options, _ = parser.parse_known_args(arguments)
+    names = [options.executor, *map(_executor_of, options.profile)]
+    for name in set(names) & set(_CLUSTER_EXECUTORS):
+        if find_spec(f"snakemake_executor_plugin_{name.replace('-', '_')}") is None:
+            raise InputError(f"the executor {name} isn't installed", remedy=installing("cluster"))
+
+
+def _executor_of(profile: Path) -> str | None:
+    """Executor of a profile of Snakemake, None without one."""
+    try:
+        options = yaml.safe_load((profile / "config.yaml").read_bytes())
+    except (OSError, yaml.YAMLError):  # Snakemake reports it
+        return None
+    return str(options.get("executor")) if isinstance(options, dict) else None
 
 
 def check_forced_rules(

@@ -37,6 +37,9 @@ Corners = Annotated[
 """Upper left, upper right, lower right and lower left corner (x, y) of each view, in pixels."""
 ViewCount = Annotated[int, Field(ge=1, le=16)]
 
+RESERVED_ON_WINDOWS = r"(con|prn|aux|nul|(com|lpt)[0-9])"
+"""Pattern of the names that no file or folder can have on Windows."""
+
 _SEPARATORS = re.compile(r"(?<=\d)\s*x\s*(?=\d)|[;,\s]+")
 """Separators of the numbers in a table's cell, such as ``8 x 8`` or ``1; 2``."""
 

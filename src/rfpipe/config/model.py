@@ -5,6 +5,7 @@ It holds plain data only; the layers above build cameras, scenes and methods fro
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from functools import cached_property, partial
 from math import prod
@@ -13,6 +14,7 @@ from typing import Any, Literal, Self
 from pydantic import ConfigDict, Field, SerializeAsAny, ValidationError, model_validator
 
 from rfpipe.config.base import (
+    RESERVED_ON_WINDOWS,
     MethodSections,
     MethodSettings,
     SectionName,
@@ -291,6 +293,14 @@ class Config(Settings):
             page = f"{scene}_{method}"
             first = acquisition_of_page.setdefault(page, (scene, method))
             rig = self.scenes[scene].rig
+            for section, name in (("scenes", scene), ("methods", method)):
+                if re.fullmatch(RESERVED_ON_WINDOWS, name):
+                    raise mistake_error(
+                        "no folder can have this name on Windows, to which results may be copied; "
+                        "choose another name",
+                        section,
+                        name,
+                    )
             if scene in _RESERVED_FOLDERS:
                 raise mistake_error(
                     f"this name is reserved, since rfpipe writes other files to results/{scene}; "

@@ -14,13 +14,13 @@ from typing import Any
 
 import yaml
 
-from rfpipe.config.base import merge_settings
+from rfpipe.config.base import RESERVED_ON_WINDOWS, merge_settings
 from rfpipe.config.model import OWN_TO_SCENES
 from rfpipe.config.scenes import SceneSettings
 from rfpipe.errors import ConfigError, InputError
 from rfpipe.text import similar_names
 
-_FOLDER = re.compile(r"(?!(con|prn|aux|nul|(com|lpt)[0-9])$)[a-z][a-z0-9_]{0,99}")
+_FOLDER = re.compile(rf"(?!{RESERVED_ON_WINDOWS}$)[a-z][a-z0-9_]{{0,99}}")
 """Name of a scene that is valid as a folder's name, on Windows, too."""
 
 _DECIMAL_COMMA = re.compile(r"(?<=\d),(?=\d)")

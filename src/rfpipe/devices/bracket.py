@@ -14,7 +14,8 @@ from pydantic import Field
 
 from rfpipe.array_types import Counts
 from rfpipe.config.base import Settings
-from rfpipe.errors import CaptureError, installing
+from rfpipe.errors import CaptureError
+from rfpipe.installation import needing
 from rfpipe.photometry.camera import CameraModel
 from rfpipe.rigs.devices import Closing, Offset, PictureExtent
 
@@ -198,9 +199,5 @@ class BracketCamera(Closing, ABC):
 
 def load_library(module: str, extra: str) -> Any:
     """Import a driver's library, or raise CaptureError that names the extra to install."""
-    try:
+    with needing(extra, module, CaptureError):
         return import_module(module)
-    except ImportError as error:
-        raise CaptureError(
-            f"{module} can't be loaded: {error}. To install it, {installing(extra)}"
-        ) from error

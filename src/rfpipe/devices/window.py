@@ -12,6 +12,7 @@ import tempfile
 import threading
 import time
 from contextlib import suppress
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +23,7 @@ from pydantic import Field
 from rfpipe.array_types import Codes, Float
 from rfpipe.config.base import Settings
 from rfpipe.errors import CaptureError
+from rfpipe.installation import installing
 from rfpipe.provenance import fingerprint
 from rfpipe.rigs.devices import (
     WEIGHT_STEPS,
@@ -77,6 +79,18 @@ class _LostWindowError(CaptureError):
         )
 
 
+def _check_requirements() -> None:
+    """Raise CaptureError without pygame, or where a process can't inherit a connection."""
+    if find_spec("pygame") is None:
+        raise CaptureError("the driver window needs pygame", remedy=installing("rig"))
+    if sys.platform == "win32":
+        raise CaptureError(
+            "the driver window doesn't run on Windows",
+            remedy="Connect projector and camera to a machine with Linux or macOS, or write a "
+            "driver (docs/devices.md)",
+        )
+
+
 class WindowProjector(Closing):
     """A projector connected as a monitor: a borderless window, one pixel per projector pixel.
 
@@ -114,6 +128,7 @@ class WindowProjector(Closing):
         response: NDArray[Any] | None = None,
         **options: Any,
     ) -> None:
+        _check_requirements()
         selected = WindowOptions(**options)
         self._codes = code_table(response)
         self._display = display

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
-from rfpipe.errors import InputError, StoreError, installing
+from rfpipe.errors import InputError, StoreError
+from rfpipe.installation import needing
 from rfpipe.output import OUTPUTS, suffix_of, whole_file
 from rfpipe.pictures.images import srgb
 from rfpipe.transport.relightable import Relightable
@@ -177,12 +178,8 @@ def write_movie(path: Path, pictures: Iterable[NDArray[np.uint8]], fps: float) -
     extended by repeating the last pixels. Raises as `relit_movie`.
     """
     suffix_of(path, OUTPUTS["movie"])
-    try:
+    with needing("export", "writing a movie", StoreError):
         import av
-    except ImportError as error:
-        raise StoreError(
-            f"movies need PyAV, which can't be imported: {error}", remedy=installing("export")
-        ) from error
     with whole_file(path) as partial:
         try:
             _encode(partial, pictures, fps)

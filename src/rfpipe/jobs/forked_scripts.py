@@ -19,6 +19,7 @@ from threading import Lock
 from typing import Any
 
 from rfpipe.jobs.fork_server import DESCRIPTORS, Request
+from rfpipe.platforms import can_fork
 
 _THREAD_VARIABLES = (
     "OMP_NUM_THREADS",
@@ -130,7 +131,7 @@ def fork_scripts() -> None:
         else:
             SERVERS.execute(script, fname)
 
-    if sys.platform == "linux":  # the libraries of other systems don't allow forks
+    if can_fork():
         PythonScript.execute_script = execute_script
         atexit.register(SERVERS.close)
 

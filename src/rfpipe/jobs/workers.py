@@ -18,6 +18,8 @@ from pathlib import Path
 from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
+import psutil
+
 from rfpipe.config.addresses import THREADS
 from rfpipe.errors import ClusterError
 from rfpipe.provenance import code_digest, fingerprint, versions
@@ -267,7 +269,7 @@ def _our_code() -> str:
 
 def machine_memory_mb() -> int:
     """Return the memory of this machine, or the limit of its control group, in MB."""
-    available = os.sysconf("SC_PAGE_SIZE") * os.sysconf("SC_PHYS_PAGES")
+    available = int(psutil.virtual_memory().total)
     with suppress(OSError, ValueError):  # no groups, or "max"
-        available = min(available, int(Path("/sys/fs/cgroup/memory.max").read_text()))
+        available = min(available, int(Path("/sys/fs/cgroup/memory.max").read_text("utf-8")))
     return available // 10**6

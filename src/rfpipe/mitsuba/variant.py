@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from rfpipe.errors import InputError, installing
+from rfpipe.installation import needing
 
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
 # Dr.Jit 1.5 refuses LLVM 14 and crashes with 15 and 16; it ran with 19 and 22.
@@ -39,13 +39,8 @@ def load_mitsuba() -> Any:
     library = usable_llvm()
     if library is not None:
         os.environ[_VARIABLE] = str(library)
-    try:
+    with needing("mitsuba", "a scene of kind mitsuba"):
         import mitsuba
-    except ImportError as error:
-        raise InputError(
-            "a scene of kind mitsuba needs Mitsuba 3, which isn't installed: "
-            f"{installing('mitsuba')}"
-        ) from error
     if mitsuba.variant() is None:
         mitsuba.set_variant("scalar_rgb" if library is None else "llvm_ad_rgb")
     return mitsuba

@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError, installing
+from rfpipe.errors import InputError
+from rfpipe.installation import needing
 from rfpipe.pictures.records import Header, Picture
 
 __all__ = ["Raw", "check_raw_mosaic", "developed", "read_raw"]
@@ -212,13 +213,8 @@ def check_raw_mosaic(path: Path, header: Header, bayer: str | None) -> None:
 @contextmanager
 def _open(source: Path | bytes, name: str) -> Iterator[Any]:
     """Open a raw file by rawpy; its errors raise InputError."""
-    try:
+    with needing("pictures", f"reading the raw file {name}"):
         import rawpy
-    except ImportError as error:
-        raise InputError(
-            f"{name}: is a raw file, and {error.name} is missing to read it; "
-            f"{installing('pictures')}"
-        ) from error
     try:
         opened = io.BytesIO(source) if isinstance(source, bytes) else str(source)
         with rawpy.imread(opened) as raw:

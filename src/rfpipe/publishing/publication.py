@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
+from rfpipe.installation import workflow_folder
 from rfpipe.pictures.images import write_image
-from rfpipe.provenance import workflow_folder
 from rfpipe.publishing.inputs import INPUTS_FOLDER, inputs_of
 from rfpipe.publishing.metadata import CRATE_FILE, Citation, crate, datacite
 from rfpipe.publishing.run import (

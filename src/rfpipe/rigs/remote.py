@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Float
 from rfpipe.config.addresses import check_server
 from rfpipe.errors import CaptureError, InputError, TransferError
+from rfpipe.installation import needing
 from rfpipe.photometry import Sensor, sensor_from_description
 from rfpipe.rigs.base import Key, check_patterns
 from rfpipe.rigs.devices import Closing
@@ -221,8 +222,8 @@ class _Connection:
     """HTTP connection to a server that may be temporarily unavailable; thread-safe."""
 
     def __init__(self, url: str, token: str, patience_seconds: float) -> None:
-        import httpx
-
+        with needing("rig", "a remote rig"):
+            import httpx
         try:
             check_server(url)
         except ValueError as error:

@@ -14,7 +14,8 @@ from pathlib import Path
 from typing import IO, Any, cast
 from urllib.parse import SplitResult, quote, unquote, urlsplit
 
-from rfpipe.errors import InputError, StoreError, UnreachableError, installing
+from rfpipe.errors import InputError, StoreError, UnreachableError
+from rfpipe.installation import needing
 from rfpipe.store.places import Place, Range
 
 # A slow download may take up to a day; one that stalls for 30 s is retried.
@@ -188,14 +189,9 @@ class _Ranged(io.RawIOBase):
 
 def _connect(address: str, client: dict[str, Any]) -> tuple[Any, str, str]:
     """Return the obstore store of a server or bucket, the key in it, and its root address."""
-    try:
+    with needing("publish", f"access to {address}", StoreError):
         from obstore.exceptions import BaseError
         from obstore.store import HTTPStore, S3Store
-    except ImportError as error:
-        raise StoreError(
-            f"{address}: reading addresses needs the extra publish; download the file, or "
-            f"{installing('publish')}"
-        ) from error
     settings: dict[str, Any] = {
         "client_options": {"allow_http": True, **client},
         "retry_config": _RETRIES,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import shutil
 from collections.abc import Iterable
 from pathlib import Path
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
 from rfpipe.output import free_bytes, storage_errors, whole_file, write_atomically
+from rfpipe.platforms import sync
 
 __all__ = [
     "bytes_on_disk",
@@ -94,11 +94,7 @@ def to_disk(path: Path) -> None:
     """Sync all files in a folder to the disk, so that they survive a power failure."""
     with storage_errors(path, "syncing to the disk"):
         for file in [*path.rglob("*"), path]:
-            descriptor = os.open(file, os.O_RDONLY)
-            try:
-                os.fsync(descriptor)
-            finally:
-                os.close(descriptor)
+            sync(file)
 
 
 def bytes_on_disk(path: Path) -> int:

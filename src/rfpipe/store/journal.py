@@ -9,6 +9,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from rfpipe.platforms import BINARY
 from rfpipe.store.files import storage_errors
 from rfpipe.store.places import content_of
 
@@ -57,7 +58,7 @@ class JournalWriter:
     def __init__(self, path: Path) -> None:
         self._path = path
         with storage_errors(path, "opening"):
-            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o644)
+            self._descriptor = os.open(path, os.O_WRONLY | os.O_APPEND | os.O_CREAT | BINARY, 0o644)
         self._last_sync = time.monotonic()
 
     def append(self, first: int, digests: Sequence[str]) -> None:

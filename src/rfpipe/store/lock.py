@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import fcntl
 import os
 import socket
 import time
 from pathlib import Path
 
 from rfpipe.errors import LockedError
+from rfpipe.platforms import BINARY, close_and_remove, lock_file
 from rfpipe.store.files import hidden_sibling, storage_errors
 
 # A file server releases the locks of a crashed machine when its lease expires, after 90 s in NFS.
@@ -47,7 +47,7 @@ class StoreLock:
             return None
         try:
             # shared: a file server refuses exclusive locks of files that are open for reading
-            fcntl.flock(descriptor, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            lock_file(descriptor, shared=True)
         except BlockingIOError:
             return _holder(descriptor)[0]
         finally:
@@ -72,9 +72,9 @@ class StoreLock:
 
     def _try_to_lock(self, waited_seconds: float) -> bool:
         """Try once to acquire the lock; LockedError if its holder has been waited for enough."""
-        descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT, 0o644)
+        descriptor = os.open(self._lock_file, os.O_RDWR | os.O_CREAT | BINARY, 0o644)
         try:
-            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            lock_file(descriptor)
         except BlockingIOError:
             holder, is_remote = _holder(descriptor)
             os.close(descriptor)
@@ -99,8 +99,7 @@ class StoreLock:
     def release(self) -> None:
         """Release the lock; does nothing when it isn't held."""
         if self._descriptor is not None:
-            self._lock_file.unlink(missing_ok=True)
-            os.close(self._descriptor)
+            close_and_remove(self._descriptor, self._lock_file)
             self._descriptor = None
 
     def __enter__(self) -> StoreLock:

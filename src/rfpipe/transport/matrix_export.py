@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.array_types import Float, Index
-from rfpipe.errors import StoreError, installing
+from rfpipe.errors import StoreError
+from rfpipe.installation import needing
 from rfpipe.output import Sink, suffix_of, whole_file
 from rfpipe.transport.algebra import (
     BATCH_MULTIPLE,
@@ -110,13 +111,8 @@ def _write_hdf5(path: Path, contents: Contents) -> None:
 
     A MAT file of version 7.3 is HDF5 after a header of 512 bytes, with the axes in reverse order.
     """
-    try:
+    with needing("export", f"writing {path.suffix}", StoreError):
         import h5py
-    except ImportError as error:
-        raise StoreError(
-            f"HDF5 and MAT files are written by h5py, which can't be loaded: {error}. Write an "
-            f".npz, or {installing('export')}"
-        ) from error
     matlab = path.suffix.lower() == ".mat"
     with path.open("w+b", buffering=0) as file:
         sink = Sink(file)

@@ -10,7 +10,8 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from rfpipe.errors import InputError, StoreError, installing
+from rfpipe.errors import InputError, StoreError
+from rfpipe.installation import needing
 from rfpipe.transport.base import Transport
 
 RayOrder = Literal["rows", "columns"]
@@ -94,13 +95,13 @@ def _read(path: Path, name: str | None) -> Any:
     if not path.exists():
         raise InputError(f"{path}: no such file; check the path, relative to {Path.cwd()}")
     try:
-        return readers[suffix](path, name)
+        with needing("pictures", f"reading {path}"):
+            matrix = readers[suffix](path, name)
     except InputError:
         raise
-    except ImportError as error:
-        raise InputError(f"{path}: needs {error.name}; {installing('pictures')}") from error
     except Exception as error:  # the libraries of the formats raise errors of any kind
         raise InputError(f"{path}: can't be read as {suffix}: {error}") from error
+    return matrix
 
 
 def _read_npz(path: Path, name: str | None) -> Any:

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from rfpipe.array_types import Bools, Float
-from rfpipe.errors import InputError, installing
+from rfpipe.errors import InputError
+from rfpipe.installation import needing
 from rfpipe.ranges import ranges
 from rfpipe.transport.algebra import MatrixAlgebra, RaySelection, selected_rays
 from rfpipe.weights import as_weights
@@ -310,10 +311,8 @@ class Relightable(MatrixAlgebra):
         InputError
             As `toarray`, and where xarray isn't installed.
         """
-        try:
+        with needing("xarray", "to_xarray"):
             from xarray import DataArray
-        except ImportError as error:
-            raise InputError(f"to_xarray needs xarray; {installing('xarray')}") from error
         rays = {
             "camera": selected_rays(rows, self.camera_shape, "rows"),
             "projector": selected_rays(columns, self.projector_shape, "columns"),
