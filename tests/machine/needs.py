@@ -18,6 +18,7 @@ import pytest
 __all__ = ["HINTS", "hide", "need", "program"]
 
 HINTS = {
+    "alp": "pip install ALP4lib",
     "aravis": "apt-get install libaravis-0.8-0",
     "chromium": "apt-get install chromium",
     "llvm": "apt-get install libllvm19",
@@ -30,7 +31,7 @@ HINTS = {
 
 VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
 
-_PACKAGES = {"micro_manager": ("pymmcore", "mm_test_adapters")}
+_PACKAGES = {"alp": ("ALP4",), "micro_manager": ("pymmcore", "mm_test_adapters")}
 
 _PROGRAMS = {
     "chromium": ("chromium", "chromium-browser", "google-chrome"),

@@ -99,8 +99,9 @@ class ProjectorDriver(DeviceDriver):
     driver: Text = Field(
         "window",
         description="window: a full-screen window on a display; dlpc900: a projector with TI's "
-        "DLPC900 controller, over USB; micro_manager: a projector (SLM) of Micro-Manager's "
-        "catalogue; or a driver of your own, as module:Class or file.py:Class.",
+        "DLPC900 controller, over USB; alp: a projector with ViALUX' ALP controller; "
+        "micro_manager: a projector (SLM) of Micro-Manager's catalogue; or a driver of your own, "
+        "as module:Class or file.py:Class.",
     )
 
 
