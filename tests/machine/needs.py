@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,9 +18,11 @@ import pytest
 __all__ = ["HINTS", "hide", "need", "program"]
 
 HINTS = {
+    "alp": "pip install ALP4lib",
     "aravis": "apt-get install libaravis-0.8-0",
     "chromium": "apt-get install chromium",
     "llvm": "apt-get install libllvm19",
+    "micro_manager": "pip install pymmcore mm-test-adapters",
     "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
     "validators": "make validators",
     "xvfb": "apt-get install xvfb",
@@ -27,6 +30,8 @@ HINTS = {
 """How each is installed."""
 
 VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
+
+_PACKAGES = {"alp": ("ALP4",), "micro_manager": ("pymmcore", "mm_test_adapters")}
 
 _PROGRAMS = {
     "chromium": ("chromium", "chromium-browser", "google-chrome"),
@@ -70,7 +75,8 @@ def _is_here(name: str) -> bool:
         return VALIDATORS.exists()
     if name == "slurm":
         return os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS[name]))
-    return program(name) is not None
+    packages = _PACKAGES.get(name)
+    return all(map(find_spec, packages)) if packages else program(name) is not None
 
 
 def hide() -> TemporaryDirectory[str] | None:
