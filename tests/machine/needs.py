@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -21,6 +22,7 @@ HINTS = {
     "chromium": "apt-get install chromium",
     "llvm": "apt-get install libllvm19",
     "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
+    "torch": ".venv/bin/python -m pip install torch",
     "validators": "make validators",
     "xvfb": "apt-get install xvfb",
 }
@@ -66,11 +68,12 @@ def _is_here(name: str) -> bool:
             return bool(load_aravis())
         except CaptureError:
             return False
-    if name == "validators":
-        return VALIDATORS.exists()
-    if name == "slurm":
-        return os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS[name]))
-    return program(name) is not None
+    checks = {
+        "slurm": lambda: os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS["slurm"])),
+        "torch": lambda: find_spec("torch") is not None,
+        "validators": VALIDATORS.exists,
+    }
+    return checks.get(name, lambda: program(name) is not None)()
 
 
 def hide() -> TemporaryDirectory[str] | None:
