@@ -24,6 +24,7 @@ HINTS = {
     "llvm": "apt-get install libllvm19",
     "micro_manager": "pip install pymmcore mm-test-adapters",
     "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
+    "torch": ".venv/bin/python -m pip install torch",
     "validators": "make validators",
     "xvfb": "apt-get install xvfb",
 }
@@ -31,7 +32,11 @@ HINTS = {
 
 VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
 
-_PACKAGES = {"alp": ("ALP4",), "micro_manager": ("pymmcore", "mm_test_adapters")}
+_PACKAGES = {
+    "alp": ("ALP4",),
+    "micro_manager": ("pymmcore", "mm_test_adapters"),
+    "torch": ("torch",),
+}
 
 _PROGRAMS = {
     "chromium": ("chromium", "chromium-browser", "google-chrome"),
