@@ -128,7 +128,7 @@ def test_devices_that_do_not_open_leave_no_report_of_another_rig(
         ({"projector": {"driver": f"{EXAMPLE}:DeskProjector", "options": {"brightness": 2}}},
          "projector.options.brightness is 2; it should be at most 1"),
         ({"projector": {"driver": "beamer"}},
-         "'beamer' is unknown; expected one of dlpc900, window"),
+         "'beamer' is unknown; expected one of alp, dlpc900, micro_manager, window"),
         ({"bench": {}, "camera": PAIR["camera"]}, "camera.driver should be window and pylon"),
         ({**WHOLE, "calibration": "found"}, "calibration should be null with a complete rig"),
     ],

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import shutil
+from importlib.util import find_spec
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,11 +18,14 @@ import pytest
 __all__ = ["DIST", "HINTS", "hide", "need", "program"]
 
 HINTS = {
+    "alp": "pip install ALP4lib",
     "aravis": "apt-get install libaravis-0.8-0",
     "chromium": "apt-get install chromium",
     "llvm": "apt-get install libllvm19",
+    "micro_manager": "pip install pymmcore mm-test-adapters",
     "release": "make dist",
     "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
+    "torch": ".venv/bin/python -m pip install torch",
     "validators": "make validators",
     "xvfb": "apt-get install xvfb",
 }
@@ -29,6 +33,14 @@ HINTS = {
 
 DIST = Path(__file__).parents[2] / "dist"
 VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
+
+_FILES = {"release": (DIST, "*.whl"), "validators": (VALIDATORS.parent, VALIDATORS.name)}
+
+_PACKAGES = {
+    "alp": ("ALP4",),
+    "micro_manager": ("pymmcore", "mm_test_adapters"),
+    "torch": ("torch",),
+}
 
 _PROGRAMS = {
     "chromium": ("chromium", "chromium-browser", "google-chrome"),
@@ -68,11 +80,13 @@ def _is_here(name: str) -> bool:
             return bool(load_aravis())
         except CaptureError:
             return False
-    if name in ("release", "validators"):
-        return any(DIST.glob("*.whl")) if name == "release" else VALIDATORS.exists()
     if name == "slurm":
         return os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS[name]))
-    return program(name) is not None
+    if name in _FILES:
+        folder, pattern = _FILES[name]
+        return any(folder.glob(pattern))
+    packages = _PACKAGES.get(name)
+    return all(map(find_spec, packages)) if packages else program(name) is not None
 
 
 def hide() -> TemporaryDirectory[str] | None:

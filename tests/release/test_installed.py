@@ -39,6 +39,7 @@ STEPS = {
 
 CALLS = """\
 import sys
+from importlib import import_module
 import rfpipe
 from rfpipe.config import parse_rig_config
 from rfpipe.errors import RfpipeError
@@ -48,8 +49,9 @@ from rfpipe.rigs.calibrated import sensor_of
 def projector(driver):
     parse_rig_config({"projector": {"driver": driver}}, "").projector.make(response=None)
 
-def camera(driver):
-    rig = parse_rig_config({"camera": {"driver": driver}, "sensor": {"bits": 8}}, "")
+def camera(driver, *options):
+    camera = {"driver": driver, "options": dict(it.split("=") for it in options)}
+    rig = parse_rig_config({"camera": camera, "sensor": {"bits": 8}}, "")
     rig.camera.make(sensor=sensor_of(rig))
 
 def remote():
@@ -60,6 +62,9 @@ def matrix():
 
 def xarray():
     rfpipe.open_transport("results/tiny/near_far").to_xarray()
+
+def module(name):
+    import_module(name)
 
 name, *arguments = sys.argv[1:]
 try:
@@ -89,7 +94,11 @@ MISSING = {
     "gphoto2": ("python calls.py camera gphoto2",),
     "webcam": ("python calls.py camera webcam",),
     "dlp": ("python calls.py projector dlpc900",),
-    "mitsuba": ("rfpipe plan mitsuba.yaml",),
+    "alp": ("python calls.py projector alp",),
+    "micromanager": (
+        "python calls.py camera micro_manager adapters=. library=DemoCamera device=DCam",
+    ),
+    "mitsuba": ("rfpipe plan mitsuba.yaml", "python calls.py module rfpipe.interop.drjit"),
     "export": (
         "rfpipe export results/tiny/near_far -o t.mat",
         "rfpipe movie results/tiny/near_far -o t.mp4",
@@ -101,6 +110,8 @@ MISSING = {
     ),
     "publish": ("rfpipe info s3://bucket/key", "rfpipe verify https://example.org/crate.zip"),
     "xarray": ("python calls.py xarray",),
+    "torch": ("python calls.py module rfpipe.interop.torch",),
+    "jax": ("python calls.py module rfpipe.interop.jax",),
 }
 """Commands that fail without an extra."""
 

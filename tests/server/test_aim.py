@@ -70,6 +70,25 @@ def test_the_page_shows_the_view_of_the_camera(
     assert (np.abs(picture - [1.0, 0.82, 0.12]).max(axis=-1) < 0.02).any()  # the outline
 
 
+def test_the_page_shows_delay_frames_and_light(
+    get: Callable[..., Response], watch: SceneMonitor
+) -> None:
+    get(f"/?token={TOKEN}")
+    assert get("/state.json").json()["timing"] == []
+    wait_until(lambda: get("/state.json").json()["timing"], "the timing")
+    timing = get("/state.json").json()["timing"]
+    assert [part["name"] for part in timing] == ["delay", "frames", "light"]
+    assert (timing[0]["standing"], timing[1]["standing"]) == ("good", "good")
+    assert "0 ms after it was drawn" in timing[0]["text"]
+
+
+def test_closing_ends_a_measurement(bench: Bench) -> None:
+    watch = SceneMonitor(lambda: (bench.projector, bench.camera), period=16)
+    wait_for(watch, 1)
+    watch.close()  # during the measurement of the delay, which takes two seconds
+    assert watch.state["timing"] == []
+
+
 def test_a_failed_device_is_reported_and_retried(
     get: Callable[..., Response], watch: SceneMonitor, bench: Bench, monkeypatch: pytest.MonkeyPatch
 ) -> None:

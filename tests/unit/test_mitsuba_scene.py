@@ -10,6 +10,7 @@ from rfpipe.errors import InputError
 from rfpipe.mitsuba import recording, variant
 from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
 from rfpipe.mitsuba.tracing import Tracer
+from rfpipe.mitsuba.views import Lens
 from rfpipe.store.manifest import read_manifest
 from rfpipe.testing import SceneContract
 
@@ -71,6 +72,15 @@ def test_a_file_has_a_separate_projector_and_its_lights_are_ignored(tmp_path: Pa
     assert settings.projector_side.pinholes[0].position == (1.5, 0, 3.5)
     assert pictures(settings).max() > 0.1
     assert MitsubaScene(settings).apply(np.zeros((1, 48))).max() == 0
+
+
+@needs_llvm
+def test_a_file_has_a_camera_with_a_lens(tmp_path: Path) -> None:
+    lens = "<float name='aperture_radius' value='0.1'/><float name='focus_distance' value='3.5'/>"
+    sensor = LOOKING.replace("perspective", "thinlens").replace("</sensor>", f"{lens}</sensor>")
+    settings = options(tmp_path, file_of(tmp_path, sensor, ASIDE, THINGS))
+    assert settings.camera_side.lenses == (Lens(0.2, 3.5),)
+    assert settings.projector_side.lenses == ()
 
 
 @needs_llvm

@@ -17,6 +17,7 @@ from rfpipe.mitsuba.parts import (
     sheet,
     textured,
 )
+from rfpipe.mitsuba.recording import dense
 from rfpipe.mitsuba.rendering import hits
 from rfpipe.mitsuba.scene import MitsubaOptions, MitsubaScene
 from rfpipe.mitsuba.variant import load_mitsuba
@@ -39,10 +40,10 @@ def world(*shapes, camera=AHEAD, projector=None, **given) -> World:
 
 
 def scene_of(tmp_path: Path, of: World, samples: int = 256, **given) -> MitsubaScene:
-    fixed = {"shape": (SIZE, SIZE), "samples": samples, "cache": str(tmp_path / "cache")}
+    fixed = {"shape": (SIZE, SIZE), "samples": samples, "cache": str(tmp_path / "cache")} | given
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(WORLDS, of.name, of)
-        return MitsubaScene(MitsubaOptions(kind="mitsuba", scene=of.name, **fixed, **given))
+        return MitsubaScene(MitsubaOptions(kind="mitsuba", scene=of.name, **fixed))
 
 
 def flood(scene: MitsubaScene) -> np.ndarray:
@@ -85,10 +86,14 @@ def rendered(
         degrees = 2 * np.degrees(np.arctan(pinhole.pitch * SIZE / 2))
         return {"type": kind, "to_world": at, "fov": float(degrees)}
 
+    camera = placed("perspective", scene.camera.pinholes[0])
+    for lens in scene.camera.lenses:
+        camera |= {"type": "thinlens", "focus_distance": lens.focus}
+        camera |= {"aperture_radius": lens.aperture / 2}
     described = {
         "type": "scene",
         "integrator": (integrator or by_paths) | {"max_depth": depth},
-        "camera": placed("perspective", scene.camera.pinholes[0]) | {"film": film},
+        "camera": camera | {"film": film},
         "light": placed("projector", scene.projector.pinholes[0]) | {"irradiance": lamp},
     } | {f"shape_{k}": shape for k, shape in enumerate(shapes.shapes())}
     picture = mi.render(mi.load_dict(described), spp=times * scene.light.samples)
@@ -257,3 +262,74 @@ def test_a_caustic_equals_mitsubas_particle_tracer(
     without = scene_of(tmp_path, of, 4096, caustics=False)
     with pytest.warns(UserWarning, match="caustics is false"):
         assert flood(without)[around].sum() < 0.99 * expected
+
+
+def focused(**lens) -> View:
+    """Return a view that looks ahead from (0, 0, 3), with a lens."""
+    return AHEAD.model_copy(update=lens)
+
+
+LENS = focused(aperture=1.0, focus=3)
+
+
+@pytest.mark.parametrize("depth", [2.0, 3.0, 4.5])
+@pytest.mark.parametrize(("camera", "projector"), [(AHEAD, LENS), (LENS, AHEAD)])
+def test_a_spot_is_blurred_by_a_disc_and_keeps_its_light(
+    tmp_path: Path, camera: View, projector: View, depth: float
+) -> None:
+    plane = sheet((0, 0, 3 - depth), (3, 0, 0), (0, 3, 0), matt(0.5))
+    size = (17, 17)
+    blurred, sharp = (
+        scene_of(tmp_path, world(plane, bounces=1), 16384, shape=size, cameras=[a], projectors=[b])
+        for a, b in ((camera, projector), (AHEAD, AHEAD))
+    )
+    middle = np.zeros((1, *size))
+    middle[0, 8, 8] = 1
+    spot, expected = (
+        scene.apply(middle.reshape(1, -1))[0, :, 1].reshape(size) for scene in (blurred, sharp)
+    )
+    assert np.flatnonzero(expected).tolist() == [8 * 17 + 8]
+    assert spot.sum() == pytest.approx(expected.sum(), rel=0.02)
+    rows, columns = np.indices(size) - 8
+    diameter = abs(1 / depth - 1 / 3) / blurred.camera.pitch
+    # the variance of a disc is diameter^2 / 16, of a pixel's width 1/12 on either side
+    for offset in (rows, columns):
+        variance = (spot * offset**2).sum() / spot.sum()
+        assert variance == pytest.approx(diameter**2 / 16 + (1 / 6 if diameter else 0), rel=0.03)
+    if diameter:
+        away = np.hypot(rows, columns) - diameter / 2
+        inside = spot[away < -np.sqrt(2)].mean()
+        assert inside == pytest.approx(expected.sum() / (np.pi * diameter**2 / 4), rel=0.03)
+        assert not spot[away > np.sqrt(2)].any()
+
+
+ROOM = (*FLOOR_AND_WALL, ball((0, -0.4, 0), 0.5, matt(0.3)))
+WIDE = IN_FRONT.model_copy(update={"aperture": 1.0, "focus": 2.5})
+
+
+def test_equal_lenses_of_a_coaxial_rig_give_a_symmetric_transport(tmp_path: Path) -> None:
+    behind_focus = sheet((0, 0, -1), (1, 0, 0), (0, 1, 0), LETTER)
+    wide = focused(aperture=0.7, focus=3)
+    for projector, is_symmetric in ((None, True), (AHEAD, False)):
+        of = world(behind_focus, ROOM[2], camera=wide, projector=projector, bounces=2)
+        scene = scene_of(tmp_path, of, 16384)
+        traced = dense(scene._pieces, False, 1, (scene.camera.rays, scene.projector.rays))
+        assert (differ(traced, traced.T) < 0.05) == is_symmetric == scene.coaxial
+
+
+def test_a_camera_with_a_lens_equals_mitsubas(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, world(*ROOM, camera=WIDE, projector=BESIDE, bounces=3), 1024)
+    picture, expected = half_lit(scene), rendered(scene, half_pattern(scene))
+    noise = scene.recording.noise["half_lit"]["whole"]
+    assert differ(picture, expected) < 3 * np.sqrt(2) * noise
+    pinhole = scene_of(tmp_path, world(*ROOM, camera=IN_FRONT, projector=BESIDE, bounces=3), 1024)
+    assert differ(picture, half_lit(pinhole)) > 0.05
+
+
+def test_without_aperture_a_view_is_a_pinhole(tmp_path: Path) -> None:
+    views = AHEAD, focused(aperture=0.0, focus=2)
+    scenes = [scene_of(tmp_path, world(WALL, camera=view)) for view in views]
+    assert scenes[0].describe() == scenes[1].describe()
+    assert "lenses" not in scenes[0].describe()["camera"]
+    # in focus at the target by default
+    assert focused(aperture=0.1).lens == focused(aperture=0.1, focus=3).lens

@@ -88,7 +88,7 @@ def test_the_default_file_contains_the_defaults() -> None:
          "projector.options.display is 'HDMI-1'"),
         ({"projector": {"options": {"settle_second": 1}}}, "did you mean settle_seconds?"),
         ({"projector": {"driver": "windw", "options": {"display": ":0"}}},
-         "projector.driver: 'windw' is unknown; did you mean window? Expected one of dlpc900, "),
+         "projector.driver: 'windw' is unknown; did you mean window? Expected one of alp, "),
         ({"camera": {"driver": "arvis", "options": {"serial": "1"}}}, "did you mean aravis?"),
         ({"scenes": {}, "methods": {}, "seed": 1},
          "the settings of a run (scenes, methods), not those of a rig. Give the rig's file: one"),

@@ -89,6 +89,14 @@ def test_late_frames_equal_the_previous_ones() -> None:
     np.testing.assert_allclose(ratio * of_frame[:, 1], shown, atol=1e-3)
 
 
+def test_every_second_bracket_is_a_repetition() -> None:
+    projector, camera = devices()
+    light = taken(projector, faults.RepeatingCamera(camera, every=2), pictures(6))
+    assert [bool((light[i] == light[i - 1]).all()) for i in range(1, 6)] == [False, True] * 2 + [
+        False
+    ]
+
+
 def test_gain_is_one_factor_per_bracket_and_flicker_cancels_over_whole_periods() -> None:
     shown = pictures(40)
     projector, camera = devices()

@@ -21,8 +21,10 @@ def aim(
     Open the printed address on this machine, or on another one through an SSH tunnel
     (ssh -L 8751:127.0.0.1:8751 RIG). The page shows the scene, with saturated pixels in red, pixels
     that are too dark in blue, and the outline of the projector's picture; the sharpness of
-    projected stripes; and a bracket of exposures for the rig's settings. Ctrl-C ends the program
-    and releases the devices, which 'rfpipe calibrate' and 'rfpipe serve' need.
+    projected stripes; a bracket of exposures for the rig's settings; and, measured after every
+    tenth look, the projector's delay, frames that are lost or repeated, and the flicker in each
+    exposure. Ctrl-C ends the program and releases the devices, which 'rfpipe calibrate' and 'rfpipe
+    serve' need.
     """
     import logging
 

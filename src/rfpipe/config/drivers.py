@@ -99,7 +99,9 @@ class ProjectorDriver(DeviceDriver):
     driver: Text = Field(
         "window",
         description="window: a full-screen window on a display; dlpc900: a projector with TI's "
-        "DLPC900 controller, over USB; or a driver of your own, as module:Class or file.py:Class.",
+        "DLPC900 controller, over USB; alp: a projector with ViALUX' ALP controller; "
+        "micro_manager: a projector (SLM) of Micro-Manager's catalogue; or a driver of your own, "
+        "as module:Class or file.py:Class.",
     )
 
 
@@ -111,8 +113,9 @@ class CameraDriver(DeviceDriver):
     driver: Text = Field(
         "pylon",
         description="pylon: a Basler camera; aravis: a GenICam camera of any maker; gphoto2: a "
-        "Canon, Nikon or Sony photo camera; webcam: a V4L2 or OpenCV camera; or a driver of your "
-        "own, as module:Class or file.py:Class.",
+        "Canon, Nikon or Sony photo camera; webcam: a V4L2 or OpenCV camera; micro_manager: a "
+        "camera of Micro-Manager's catalogue; or a driver of your own, as module:Class or "
+        "file.py:Class.",
     )
 
     @property

@@ -22,10 +22,8 @@ from rfpipe.rigs.devices import Closing, Offset, PictureExtent
 _log = logging.getLogger(__name__)
 
 
-class FrameOptions(Settings):
-    """Options shared by the drivers of cameras."""
-
-    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset({"timeout_seconds"})
+class RegionOptions(Settings):
+    """Region of the sensor that a camera reads."""
 
     shape: tuple[PictureExtent, PictureExtent] | None = Field(
         None, description="Height and width of the frames in pixels, or null for the whole sensor."
@@ -35,6 +33,13 @@ class FrameOptions(Settings):
         description="Place of the frames on the sensor: rows from its upper edge, columns from "
         "its left edge; of a photo camera even numbers both.",
     )
+
+
+class FrameOptions(RegionOptions):
+    """Options shared by the drivers of cameras that deliver frames in time or late."""
+
+    without_effect_on_frames: ClassVar[frozenset[str]] = frozenset({"timeout_seconds"})
+
     timeout_seconds: float = Field(
         2.0,
         gt=0,
@@ -176,9 +181,11 @@ class BracketCamera(Closing, ABC):
                 "%s, exposure %g s, attempt %d of %d: %s",
                 self._name, exposure, attempt + 1, self.attempts, problem,
             )  # fmt: skip
+        has_timeout = isinstance(self._options, FrameOptions)
+        patience = ", or raise camera.options.timeout_seconds" if has_timeout else ""
         raise CaptureError(
             f"{self._name}: no good frame of {exposure:g} s in {self.attempts} attempts; "
-            f"last problem: {problem}. {self.advice}, or raise camera.options.timeout_seconds"
+            f"last problem: {problem}. {self.advice}{patience}"
         )
 
     def _attempt(self, exposure: float) -> tuple[Counts | None, str]:

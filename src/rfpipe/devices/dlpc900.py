@@ -7,9 +7,8 @@ split into packets of 64 bytes.
 
 from __future__ import annotations
 
-import threading
 import time
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from enum import IntEnum
 from itertools import islice
@@ -20,11 +19,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from rfpipe.array_types import Float
+from rfpipe.array_types import Codes
 from rfpipe.config.base import Settings
 from rfpipe.devices.bracket import load_library
-from rfpipe.errors import CaptureError, InputError
-from rfpipe.rigs.devices import Closing, check_picture
+from rfpipe.devices.dmd import DmdProjector
+from rfpipe.errors import CaptureError
 
 Device = Literal["DLP6500", "DLP670S"]
 
@@ -38,9 +37,6 @@ MAX_PICTURES = 236
 
 REPEAT_MICROSECONDS = 100_000
 """Display time of a picture that is repeated until the next one."""
-
-GREY_BITS = 8
-"""Bits of a picture outside a sequence."""
 
 MIN_MICROSECONDS, MAX_MICROSECONDS = 105, 2**24 - 1
 
@@ -93,7 +89,7 @@ class Dlpc900Options(Settings):
     )
 
 
-class Dlpc900Projector(Closing):
+class Dlpc900Projector(DmdProjector):
     """A projector of 8-bit pictures, and of sequences of binary pictures that trigger the camera.
 
     Pictures are loaded into the controller's memory ("pattern on-the-fly"). The first trigger
@@ -107,8 +103,6 @@ class Dlpc900Projector(Closing):
     Options = Dlpc900Options
 
     sequence_pictures = MAX_PICTURES
-    sequence_levels = 2
-    """Number of grey levels of a picture in a sequence: 0 and 1."""
 
     def __init__(
         self,
@@ -117,12 +111,11 @@ class Dlpc900Projector(Closing):
         settle_seconds: float = 0.05,
         transport: Any = None,
     ) -> None:
+        super().__init__(settle_seconds)
         self.shape = SHAPES[device]
-        self.settle_seconds = settle_seconds
         self._device = device
         self._number = 0
         self._loaded = 0
-        self._lock = threading.Lock()
         self._transport: Any = transport or open_usb(serial)
         try:
             self._send(Command.DISPLAY_START, _STOP)
@@ -131,74 +124,39 @@ class Dlpc900Projector(Closing):
             self.close()
             raise
 
-    def show(self, picture: Float) -> None:
-        """Show a picture; see `rfpipe.rigs.devices.Projector.show`."""
-        self.show_now(picture)
-        time.sleep(self.settle_seconds)
-
-    def show_now(self, picture: Float) -> None:
-        """Show a picture without waiting for it; see `rfpipe.rigs.devices.Projector`."""
-        picture = check_picture(picture, self.shape)
-        is_binary = bool(((picture == 0) | (picture == 1)).all())
-        with self._lock:
-            if is_binary:
-                self._load([picture == 1])
-            else:  # mirrors are on for a time proportional to the code
-                codes = np.rint(255 * picture).astype(np.uint8)
-                self._load([codes >> bit & 1 == 1 for bit in range(GREY_BITS)], GREY_BITS)
-            self._send(Command.DISPLAY_START, _START)
-
-    def load(self, pictures: Iterable[Float]) -> None:
-        """Load the pictures of a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
-        lit = (
-            _as_bits(check_picture(picture, self.shape), index)
-            for index, picture in enumerate(pictures)
-        )
-        with self._lock:
-            self._load(lit)
-
-    def play(self, order: Sequence[int], seconds: float) -> None:
-        """Show a sequence; see `rfpipe.rigs.devices.SequenceProjector`."""
-        microseconds = int(np.ceil(1e6 * seconds))
-        if not MIN_MICROSECONDS <= microseconds <= MAX_MICROSECONDS:
-            raise CaptureError(
-                f"projector: shows a picture of a sequence for {MIN_MICROSECONDS} us to "
-                f"{MAX_MICROSECONDS / 1e6:.1f} s, not for {seconds:g} s"
-            )
-        with self._lock:
-            self._send(Command.DISPLAY_START, _STOP)
-            self._define(microseconds)
-            order_of = pack("<HI", len(order), len(order)) + pack(f"<{len(order)}H", *order)
-            self._send(Command.LUT_ORDER, order_of)
-            self._send(Command.DISPLAY_START, _START)
-            time.sleep(len(order) * microseconds / 1e6 + self.settle_seconds)
-            self._check_status()
-            self._send(Command.DISPLAY_START, _STOP)
-
     def describe(self) -> dict[str, Any]:
         """Plain data for fingerprints and manifests: all that shapes the light."""
         return {"kind": "dlpc900", "device": self._device, "shape": list(self.shape)}
 
-    def close(self) -> None:
-        """Stop the display and close the device; closing twice is no error."""
-        with self._lock:
-            transport, self._transport = self._transport, None
-        if transport is not None:
-            with suppress(Exception):
-                for packet in message(Command.DISPLAY_START, _STOP, 0):
-                    transport.write(b"\0" + packet)
-            transport.close()
+    def _show(self, codes: Codes, bits: int) -> None:
+        self._load((codes >> bit & 1 == 1 for bit in range(bits)), bits)
+        self._send(Command.DISPLAY_START, _START)
 
-    def _load(self, lit: Iterable[NDArray[np.bool_]], bits: int = 1) -> None:
+    def _microseconds(self) -> tuple[int, int]:
+        return MIN_MICROSECONDS, MAX_MICROSECONDS
+
+    def _play(self, order: Sequence[int], microseconds: int) -> None:
+        self._send(Command.DISPLAY_START, _STOP)
+        self._define(microseconds)
+        order_of = pack("<HI", len(order), len(order)) + pack(f"<{len(order)}H", *order)
+        self._send(Command.LUT_ORDER, order_of)
+        self._send(Command.DISPLAY_START, _START)
+        time.sleep(len(order) * microseconds / 1e6 + self.settle_seconds)
+        self._check_status()
+        self._send(Command.DISPLAY_START, _STOP)
+
+    def _release(self) -> None:
+        with suppress(Exception):
+            for packet in message(Command.DISPLAY_START, _STOP, 0):
+                self._transport.write(b"\0" + packet)
+        self._transport.close()
+
+    def _load(self, pictures: Iterator[NDArray[np.bool_]], bits: int = 1) -> None:
         """Load bit planes: the definitions first, then the images in reverse order."""
-        images, count, planes = [], 0, iter(lit)
-        while pictures := list(islice(planes, BITS_AN_IMAGE)):  # limits memory
-            images.append(encoded_image(np.stack(pictures)))
-            count += len(pictures)
-            if count > MAX_PICTURES:
-                raise InputError(
-                    f"the projector holds at most {MAX_PICTURES} pictures; more were given"
-                )
+        images, count = [], 0
+        while planes := list(islice(pictures, BITS_AN_IMAGE)):  # limits memory
+            images.append(encoded_image(np.stack(planes)))
+            count += len(planes)
         self._send(Command.DISPLAY_START, _STOP)
         self._loaded = count // bits
         self._define(REPEAT_MICROSECONDS, bits)
@@ -225,8 +183,6 @@ class Dlpc900Projector(Closing):
 
     def _send(self, command: int, data: bytes, *, read: bool = False) -> bytes:
         """Send a message; return the data of the response."""
-        if self._transport is None:
-            raise CaptureError("the projector is closed; open it again")
         self._number = (self._number + 1) % 256
         try:
             for packet in message(command, data, self._number, read=read):
@@ -256,19 +212,6 @@ def open_usb(serial: str | None) -> Any:
             "uses it"
         ) from error
     return device
-
-
-def _as_bits(picture: Float, index: int) -> NDArray[np.bool_]:
-    """Convert a picture of zeros and ones to bits, or raise InputError."""
-    lit = picture == 1
-    grey = ~lit & (picture != 0)
-    if grey.any():
-        pixel = tuple(int(i) for i in np.argwhere(grey)[0])
-        raise InputError(
-            f"picture {index} is {picture[pixel]:g} at projector pixel {pixel}; sequences of this "
-            "projector have the values 0 and 1 only"
-        )
-    return np.asarray(lit)
 
 
 def message(command: int, data: bytes, number: int, *, read: bool = False) -> list[bytes]:

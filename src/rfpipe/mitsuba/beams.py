@@ -1,4 +1,4 @@
-"""Pinholes, the start of paths, Russian roulette and sums of light, for all tracers.
+"""Pinholes and lenses, the start of paths, Russian roulette and sums of light, for all tracers.
 
 Arguments are Dr.Jit arrays of a vectorised variant of Mitsuba.
 """
@@ -26,7 +26,7 @@ class Projection(NamedTuple):
     pixel : UInt32
         Pixel in the ray domain of all views; 0 outside the picture.
     origin : Point3f
-        Position of the view.
+        Position of the view: of the pinhole, or of a random point on the lens.
     flux : Float
         ``1 / (cos^3 d^2)`` for a distance d and the cosine of the angle to the optical axis: flux
         per area perpendicular to the line of sight, for unit flux per area of the image plane at
@@ -40,15 +40,22 @@ class Projection(NamedTuple):
 
 
 class Pinholes:
-    """The pinholes of one side of the rig, as Dr.Jit arrays."""
+    """The pinholes of one side of the rig, as Dr.Jit arrays.
+
+    A thin lens is a pinhole at random points of the lens, each with its picture shifted so that
+    points in focus stay in place.
+    """
 
     def __init__(self, side: Side) -> None:
         self.side, self.count = side, len(side.pinholes)
         frames = [[*pinhole.axes, pinhole.position] for pinhole in side.pinholes]
         self._frames = mi.Float(np.array(frames, dtype=np.float32).ravel())
+        lenses = [(lens.aperture / 2, 1 / lens.focus) for lens in side.lenses]
+        self._lenses = mi.Float(np.array(lenses, dtype=np.float32).ravel())
 
-    def rays(self, pixel: Any, within: Any) -> Any:
-        """Return rays through pixels of all views, at positions (Point2f) in [0, 1) within them."""
+    def rays(self, pixel: Any, sampler: Any) -> Any:
+        """Return rays through random points of pixels of all views."""
+        within = sampler.next_2d()
         (height, width), pitch = self.side.shape, self.side.pitch
         view = pixel // (height * width)
         inside = pixel - view * (height * width)
@@ -56,21 +63,40 @@ class Pinholes:
         right, down, ahead, origin = self._frame(view)
         x = (mi.Float(inside - row * width) + within.x - width / 2) * pitch
         y = (mi.Float(row) + within.y - height / 2) * pitch
-        return mi.Ray3f(mi.Point3f(origin), dr.normalize(right * x + down * y + ahead))
+        direction = right * x + down * y + ahead
+        if self.side.lenses:
+            lens, shift = self._lens(view, sampler)
+            origin = origin + right * lens.x + down * lens.y
+            direction -= right * shift.x + down * shift.y
+        return mi.Ray3f(mi.Point3f(origin), dr.normalize(direction))
 
-    def project(self, sample: Any, point: Any) -> Projection:
-        """Project points into a view selected uniformly by a random number."""
-        view = dr.minimum(mi.UInt32(sample * self.count), self.count - 1)
+    def project(self, point: Any, sampler: Any) -> Projection:
+        """Project points into a random view."""
+        view = dr.minimum(mi.UInt32(sampler.next_1d() * self.count), self.count - 1)
         (height, width), pitch = self.side.shape, self.side.pitch
         right, down, ahead, origin = self._frame(view)
+        centre = mi.Vector2f(width / 2, height / 2)
+        if self.side.lenses:
+            lens, shift = self._lens(view, sampler)
+            origin = origin + right * lens.x + down * lens.y
+            centre += shift / pitch
         offset = mi.Vector3f(point) - origin
         depth = dr.dot(offset, ahead)
-        column = width / 2 + dr.dot(offset, right) / (depth * pitch)
-        row = height / 2 + dr.dot(offset, down) / (depth * pitch)
+        column = centre.x + dr.dot(offset, right) / (depth * pitch)
+        row = centre.y + dr.dot(offset, down) / (depth * pitch)
         inside = (depth > 0) & (column >= 0) & (column < width) & (row >= 0) & (row < height)
         pixel = view * math.prod(self.side.shape) + mi.UInt32(row) * width + mi.UInt32(column)
         flux = dr.norm(offset) / (depth * depth * depth)
         return Projection(inside, dr.select(inside, pixel, 0), mi.Point3f(origin), flux)
+
+    def _lens(self, view: Any, sampler: Any) -> tuple[Any, Any]:
+        """Return random points on the lenses of views, and the shifts of the picture there.
+
+        Both are Vector2f, to the right and down; shifts are on the image plane at distance 1.
+        """
+        radius, per_focus = (dr.gather(mi.Float, self._lenses, view * 2 + k) for k in range(2))
+        unit: Any = mi.Vector2f(mi.warp.square_to_uniform_disk_concentric(sampler.next_2d()))
+        return unit * radius, unit * (radius * per_focus)
 
     def _frame(self, view: Any) -> list[Any]:
         """Return the right, down and forward axes and the origins of views."""
@@ -137,7 +163,7 @@ def begin(
     sampler.set_samples_per_wavefront(samples)
     sampler.seed(seed, lanes)
     pixel = row + dr.opaque(mi.UInt32, first)
-    return row, pinholes.rays(pixel, sampler.next_2d()), sampler
+    return row, pinholes.rays(pixel, sampler), sampler
 
 
 def survival(weight: Any, bounces: Any) -> Any:

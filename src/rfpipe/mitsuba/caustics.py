@@ -304,7 +304,7 @@ class _ParticleTracer:
     def _connect(self, vertex: _Vertex, diffuse: Any, sampler: Any) -> None:
         """Add light that reaches the camera directly from diffuse vertices."""
         si, camera = vertex.si, self.rig.camera
-        view = camera.project(sampler.next_1d(), si.p)
+        view = camera.project(si.p, sampler)
         to_camera = si.to_local(dr.normalize(view.origin - si.p))
         visible = diffuse & view.inside
         context = mi.BSDFContext(mi.TransportMode.Importance)

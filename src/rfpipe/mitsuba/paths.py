@@ -26,7 +26,7 @@ def trace_paths(rig: TracedScene, sums: Sums, samples: int, seed: int) -> None:
         si = rig.scene.ray_intersect(ray, active)
         active = active & si.is_valid()
         bsdf = si.bsdf(ray)
-        view = rig.projector.project(sampler.next_1d(), si.p)
+        view = rig.projector.project(si.p, sampler)
         to_light = si.to_local(dr.normalize(view.origin - si.p))
         lit = active & view.inside & mi.has_flag(bsdf.flags(), mi.BSDFFlags.Smooth)
         light = weight * bsdf.eval(context, si, to_light, lit) * (view.flux * rig.projector.count)
@@ -125,7 +125,7 @@ def _connect(rig: TracedScene, vertex: _Vertex, weight: Any, sampler: Any) -> tu
     """Connect vertices with a projector; return projector pixels, light, and where it is lit."""
     si, interaction, scattered = vertex.si, vertex.interaction, vertex.scattered
     point = dr.select(scattered, interaction.p, si.p)
-    view = rig.projector.project(sampler.next_1d(), point)
+    view = rig.projector.project(point, sampler)
     direction = dr.normalize(view.origin - point)
     diffuse = vertex.on_surface & mi.has_flag(vertex.bsdf.flags(), mi.BSDFFlags.Smooth)
     reflected = vertex.bsdf.eval(mi.BSDFContext(), si, si.to_local(direction), diffuse)

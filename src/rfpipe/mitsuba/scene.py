@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import asdict
 from functools import cached_property
 from importlib import metadata
 from pathlib import Path
@@ -50,12 +49,15 @@ class MitsubaOptions(SceneSettings):
         "the camera's.",
     )
     cameras: tuple[View, ...] | None = Field(
-        None, min_length=1, description="Positions of the cameras; null for those of the scene."
+        None,
+        min_length=1,
+        description="Positions and lenses of the cameras; null for those of the scene.",
     )
     projectors: tuple[View, ...] | None = Field(
         None,
         min_length=1,
-        description="Positions of the projectors; null: those of the scene, or of the cameras.",
+        description="Positions and lenses of the projectors; null: those of the scene, or of the "
+        "cameras.",
     )
     samples: int = Field(16384, ge=2, le=2**20, description="Paths per pixel.")
     bounces: int | None = Field(
@@ -162,7 +164,7 @@ class MitsubaOptions(SceneSettings):
     def camera_side(self) -> Side:
         """The cameras."""
         views = self.cameras or self.world.cameras
-        return Side(tuple(view.pinhole(self.shape) for view in views))
+        return Side.of(views, self.shape)
 
     @property
     def projector_side(self) -> Side:
@@ -170,7 +172,7 @@ class MitsubaOptions(SceneSettings):
         if self.is_coaxial:
             return self.camera_side
         views = self.projectors or self.world.projectors or ()
-        return Side(tuple(view.pinhole(self.projector_shape or self.shape) for view in views))
+        return Side.of(views, self.projector_shape or self.shape)
 
     @property
     def ray_shape(self) -> tuple[int, ...]:
@@ -213,8 +215,8 @@ class MitsubaScene(Scene):
         return {
             "scene": "mitsuba",
             "world": self.world.describe(),
-            "camera": asdict(self.camera),
-            "projector": asdict(self.projector),
+            "camera": self.camera.describe(),
+            "projector": self.projector.describe(),
             "light": self.light.describe(),
             "coaxial": self.coaxial,
             "channels": self.channels,

@@ -1,10 +1,14 @@
-"""Positions of the cameras and projectors of a physically based scene."""
+"""Positions and lenses of the cameras and projectors of a physically based scene.
+
+A thin lens of diameter A in focus at depth d images a point at depth z as a disc. On the image
+plane at distance 1, which is in radians near the axis, its diameter is ``A |1/z - 1/d|``.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import Self
+from dataclasses import asdict, dataclass
+from typing import Any, NamedTuple, Self
 
 from pydantic import Field, model_validator
 
@@ -13,8 +17,15 @@ from rfpipe.errors import InputError
 from rfpipe.scenes.pinholes import Pinhole
 
 
+class Lens(NamedTuple):
+    """A thin lens: diameter of its aperture, and depth in focus, in scene units."""
+
+    aperture: float
+    focus: float
+
+
 class View(Settings):
-    """Position and orientation of a pinhole camera or projector."""
+    """Position, orientation and lens of a camera or projector."""
 
     origin: tuple[float, float, float] = Field(description="Position in scene units.")
     target: tuple[float, float, float] = Field(
@@ -24,6 +35,20 @@ class View(Settings):
         (0.0, 1.0, 0.0), description="Direction that is up in its picture."
     )
     degrees: float = Field(40.0, gt=0, lt=180, description="Horizontal field of view in degrees.")
+    aperture: float = Field(
+        0.0, ge=0, description="Diameter of its lens in scene units; 0: a pinhole, all in focus."
+    )
+    focus: float | None = Field(
+        None,
+        gt=0,
+        description="Distance in focus along the optical axis, in scene units; null: that of "
+        "`target`.",
+    )
+
+    @property
+    def lens(self) -> Lens:
+        """The lens, in focus at `target` unless `focus` is set."""
+        return Lens(self.aperture, self.focus or math.dist(self.origin, self.target))
 
     def pinhole(self, shape: tuple[int, int]) -> Pinhole:
         """Build the pinhole with a picture of this height and width in pixels."""
@@ -40,6 +65,12 @@ class View(Settings):
 class Side:
     """The pinholes of all cameras, or of all projectors, of a rig.
 
+    Attributes
+    ----------
+    pinholes : tuple of Pinhole
+    lenses : tuple of Lens
+        A lens for each pinhole, whose position is the middle of the lens; empty without lenses.
+
     Raises
     ------
     InputError
@@ -47,6 +78,14 @@ class Side:
     """
 
     pinholes: tuple[Pinhole, ...]
+    lenses: tuple[Lens, ...] = ()
+
+    @classmethod
+    def of(cls, views: tuple[View, ...], shape: tuple[int, int]) -> Self:
+        """Build the side of these views, each with a picture of this height and width."""
+        lenses = tuple(view.lens for view in views)
+        has_lenses = any(lens.aperture for lens in lenses)
+        return cls(tuple(view.pinhole(shape) for view in views), lenses if has_lenses else ())
 
     def __post_init__(self) -> None:
         if len({(pinhole.shape, pinhole.pitch) for pinhole in self.pinholes}) != 1:
@@ -54,6 +93,13 @@ class Side:
                 f"{len(self.pinholes)} views of one side of a rig: expected at least one, and all "
                 "of the same field of view"
             )
+
+    def describe(self) -> dict[str, Any]:
+        """Plain data for fingerprints."""
+        described = asdict(self)
+        if not self.lenses:
+            del described["lenses"]
+        return described
 
     @property
     def shape(self) -> tuple[int, int]:

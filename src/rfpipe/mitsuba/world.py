@@ -83,13 +83,13 @@ class World:
 def world_of_file(path: Path) -> World:
     """Read the scene of an XML file of Mitsuba.
 
-    The first perspective sensor is the camera, and the first emitter of type projector the
-    projector; without a projector, the rig is coaxial.
+    The first sensor of type perspective or thinlens is the camera, and the first emitter of type
+    projector the projector; without a projector, the rig is coaxial.
 
     Raises
     ------
     InputError
-        When the file can't be read, isn't a scene, or has no perspective sensor.
+        When the file can't be read, isn't a scene, or has no such sensor.
     """
     try:
         text = path.read_text(encoding="utf-8")
@@ -104,13 +104,13 @@ def world_of_file(path: Path) -> World:
         if (path.parent / name).is_file()
     }
     camera, projector = (
-        tuple(_view_of(node, path) for node in state.nodes if node.props.plugin_name() == kind)[:1]
-        for kind in ("perspective", "projector")
+        tuple(_view_of(node, path) for node in state.nodes if node.props.plugin_name() in kinds)[:1]
+        for kinds in (("perspective", "thinlens"), ("projector",))
     )
     if not camera:
         raise InputError(
-            f"{path}: the scene has no sensor of type perspective, which defines position and "
-            "field of view of the camera; add one"
+            f"{path}: the scene has no sensor of type perspective or thinlens, which defines "
+            "position and field of view of the camera; add one"
         )
     return World(path.stem, lambda: description, camera, projector or None)
 
@@ -180,6 +180,8 @@ def _view_of(node: Any, path: Path) -> View:
         target=tuple(origin + ahead),
         up=tuple(up),
         degrees=float(node.props.get("fov", 40.0)),
+        aperture=2 * float(node.props.get("aperture_radius", 0.0)),
+        focus=node.props.get("focus_distance", None),
     )
     if not np.allclose(view.pinhole((1, 1)).axes[0], -left, atol=1e-4):
         raise InputError(

@@ -104,9 +104,8 @@ def light_fault(
     known = known_exposures(series, limit)
     if not known.any() or len(series.gain) < 2:
         return None
-    gain, error = series.gain[:, known], series.error[:, known]
-    span = np.ptp(gain, axis=0)
-    is_change = (span > limit) & (span > SIGNIFICANCE * error.max(axis=0))
+    span, error = (values[known] for values in light_range(series))
+    is_change = (span > limit) & (span > SIGNIFICANCE * error)
     if not is_change.any():
         return None
     size = float(span[is_change].max())
@@ -118,6 +117,11 @@ def light_fault(
         change = float(common[order[-1]] / common[order[0]] - 1)
         return drift_fault(change, f"{np.ptp(series.seconds):.2g} {unit}")
     return fault
+
+
+def light_range(series: LightSeries) -> tuple[Double, Double]:
+    """Range of the gains in each exposure (E,), and their largest standard error."""
+    return np.ptp(series.gain, axis=0), series.error.max(axis=0)
 
 
 def _are_dark(pictures: Sequence[CheckPicture], references: References) -> bool:

@@ -6,11 +6,11 @@ import hmac
 import io
 import secrets
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import closing, suppress
+from contextlib import closing, contextmanager, suppress
 from importlib.resources import files
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Self
 
 import numpy as np
 import uvicorn
@@ -19,8 +19,10 @@ from fastapi.responses import HTMLResponse, JSONResponse, RedirectResponse
 from numpy.typing import NDArray
 from starlette.middleware.trustedhost import TrustedHostMiddleware
 
-from rfpipe.calibration.context import camera_model
+from rfpipe.calibration.context import StepContext, camera_model
 from rfpipe.calibration.scene import measure_scene, scene_image, scene_patterns
+from rfpipe.calibration.synchronisation import measure_synchronisation
+from rfpipe.config import CalibrationConfig
 from rfpipe.errors import RfpipeError
 from rfpipe.rigs.devices import Camera, Projector, bracket_of
 from rfpipe.server.run import bound_socket, local_config
@@ -29,6 +31,9 @@ Devices = Callable[[], tuple[Projector, Camera]]
 
 RETRY_SECONDS = 2.0
 """Wait after a device failed."""
+
+LOOKS_PER_TIMING = 10
+"""Views of the scene per measurement of delay, frames and flicker."""
 
 _COOKIE = "rfpipe-aim"
 _HEADERS = {
@@ -151,6 +156,7 @@ class SceneMonitor:
         self._period = period
         self.view = AimView(0, b"", {})
         self._error: str | None = None
+        self._timing: list[dict[str, str]] = []
         self._stopping = threading.Event()
         self._thread = ThreadPoolExecutor(1, "aim")
         try:
@@ -162,9 +168,11 @@ class SceneMonitor:
 
     @property
     def state(self) -> dict[str, Any]:
-        """Plain data: the latest view, and the devices' error."""
+        """Plain data: the latest view, verdicts on delay, frames and light, the devices' error."""
         view = self.view
-        return {"number": view.number, "error": self._error, **view.facts}
+        return {
+            "number": view.number, "error": self._error, "timing": self._timing, **view.facts
+        }  # fmt: skip
 
     def close(self) -> None:
         """Finish the current exposure, and close the devices."""
@@ -172,11 +180,13 @@ class SceneMonitor:
         self._thread.shutdown()
 
     def _run(self, projector: Projector, camera: Camera) -> None:
-        with closing(projector), closing(camera):
+        with closing(projector), closing(camera), suppress(_PageClosedError):
             while not self._stopping.is_set():
                 try:
                     self._measure(projector, camera)
                     self._error = None
+                    if self.view.number % LOOKS_PER_TIMING == 1:
+                        self._measure_timing(projector, camera)
                 except RfpipeError as error:
                     self._error = str(error)
                     self._stopping.wait(RETRY_SECONDS)
@@ -204,6 +214,29 @@ class SceneMonitor:
             "proposal": f"sensor:\n  exposures: [{proposal}]",
         }
         self.view = AimView(self.view.number + 1, _png(picture), facts)
+
+    def _measure_timing(self, projector: Projector, camera: Camera) -> None:
+        """Measure delay, frames and light, and replace the latest verdicts."""
+        settings = CalibrationConfig(period_pixels=self._period)
+        context = StepContext(projector, camera, settings, None, {}, self._progress)
+        verdicts = measure_synchronisation(context)
+        self._timing = [{"name": name, **verdict._asdict()} for name, verdict in verdicts.items()]
+
+    @contextmanager
+    def _progress(self, count: int) -> Iterator[Self]:
+        """Progress bar of a measurement, which ends it when the page is closed."""
+        del count
+        yield self
+
+    def advance(self, pictures: int) -> None:
+        """Continue a measurement after a picture, or raise an error when the page is closed."""
+        del pictures
+        if self._stopping.is_set():
+            raise _PageClosedError
+
+
+class _PageClosedError(Exception):
+    """The page is closed during a measurement."""
 
 
 def _png(picture: NDArray[np.float64]) -> bytes:

@@ -171,6 +171,29 @@ class LateCamera(FaultyCamera):
         return np.stack(self._stream[last - len(frames) : last])
 
 
+class RepeatingCamera(FaultyCamera):
+    """A camera whose driver delivers the previous bracket again where it has no new one.
+
+    Parameters
+    ----------
+    camera : Camera
+    after : int
+        Brackets before the fault begins.
+    every : int
+        One bracket of this number is a repetition.
+    """
+
+    def __init__(self, camera: Camera, after: int = 0, every: int = 4) -> None:
+        super().__init__(camera, self._repeated, after)
+        self._every = every
+        self._previous: Frames | None = None
+
+    def _repeated(self, frames: Frames, moment: Moment) -> Frames:
+        is_new = moment.index % self._every or self._previous is None
+        self._previous = frames if is_new else self._previous
+        return np.asarray(self._previous)
+
+
 def jittering_gain(
     camera: Camera, after: int = 0, deviation: float = 0.1, seed: int = 0
 ) -> FaultyCamera:

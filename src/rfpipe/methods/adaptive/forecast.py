@@ -55,6 +55,12 @@ class PatternLaw(NamedTuple):
         return float(views * self.patterns * (0.01 / target) ** self.power)
 
 
+FIT_SECONDS_A_RAY = 0.005, 0.05
+"""Processor seconds a camera ray that a hierarchy's fits take, to 1 %.
+
+Measured on mirror_beside and right_angles at 48 x 48 (docs/performance.md).
+"""
+
 EXPECTED = PatternLaw(33.0, 0.8)
 """Median over the benchmark's tuning scenes."""
 
@@ -163,3 +169,9 @@ def remaining_patterns(state: AdaptiveState) -> int:
         remaining = min(max(typical, patterns_to_target(state)), largest)
     limit = state.options.patterns - shown if state.options.patterns else np.inf
     return round(float(min(max(remaining, coming.held_out + coming.count, 1), limit)))
+
+
+def hierarchy_hours(camera_rays: int) -> tuple[float, float]:
+    """Forecast the least and the largest processor time of a hierarchy's fits, in hours."""
+    least, most = (seconds * camera_rays / 3600 for seconds in FIT_SECONDS_A_RAY)
+    return least, most

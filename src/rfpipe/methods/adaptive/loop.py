@@ -41,6 +41,7 @@ from rfpipe.methods.adaptive.forecast import (
     EXPECTED,
     LOWER_QUARTILE,
     UPPER_QUARTILE,
+    hierarchy_hours,
     most_patterns,
     remaining_patterns,
 )
@@ -366,6 +367,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
         phase = decision.phase
         if phase is Phase.HIERARCHY and state.hierarchy_state is None:
             _log.info("%s; continuing with %s", decision.reason, HIERARCHY_METHOD.title.lower())
+            hours = hierarchy_hours(state.camera.size)
+            if hours[1] > 1:
+                message = "its fits take about %.2g to %.2g hours of processor time"
+                _log.warning(message, *hours)
             state = self._start_hierarchy(state)
         elif phase is not None and decision.reason:
             _log.info("%s; continuing with random blocks", decision.reason)
