@@ -203,7 +203,7 @@ def test_the_wheel_runs_without_an_installation(runner: str, release: Path, tmp_
     locked = {"UV_CONSTRAINT": constraints(tmp_path), "PIP_CONSTRAINT": constraints(tmp_path)}
     folders = {"PIPX_HOME": tmp_path / "pipx", "UV_TOOL_DIR": tmp_path / "tools"}
     paths = {"UV_PYTHON": Path(sys.executable), **locked, **folders}
-    variables = {name: str(path) for name, path in paths.items()}
+    variables = {name: str(path) for name, path in paths.items()} | {"PIP_NO_COMPILE": "1"}
     (tmp_path / "mine.yaml").write_text(SETTINGS, "utf-8")
     ended = subprocess.run(
         [Path(sys.executable).with_name(command[0]), *command[1:]], cwd=tmp_path, text=True,
