@@ -180,8 +180,8 @@ def constraints(folder: Path) -> Path:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("python", found_pythons())
-def test_the_wheel_works_without_the_clone(python: str, release: Path, tmp_path: Path) -> None:
-    installed = Installed.make(tmp_path, found_pythons()[python], release)
+def test_the_wheel_works_without_the_clone(python: str, release: Path, scratch: Path) -> None:
+    installed = Installed.make(scratch, found_pythons()[python], release)
     for arguments, expected in STEPS.items():
         assert expected in installed.run(f"rfpipe {arguments}")
     record = read_manifest(installed.folder / "results" / "run.json")
@@ -192,21 +192,21 @@ def test_the_wheel_works_without_the_clone(python: str, release: Path, tmp_path:
             message = installed.run(command, status=1)
             assert remedy in message, f"{command}\n{message}"
             assert "Traceback" not in message, f"{command}\n{message}"
-    installed.install("--constraint", constraints(tmp_path), f"{DISTRIBUTION}[export]")
+    installed.install("--constraint", constraints(scratch), f"{DISTRIBUTION}[export]")
     installed.run("rfpipe export results/tiny/near_far -o t.mat")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("runner", ["uvx --from", "uvx pipx run --spec"])
-def test_the_wheel_runs_without_an_installation(runner: str, release: Path, tmp_path: Path) -> None:
+def test_the_wheel_runs_without_an_installation(runner: str, release: Path, scratch: Path) -> None:
     command = [*runner.split(), release, "rfpipe", "plan", "mine.yaml"]
-    locked = {"UV_CONSTRAINT": constraints(tmp_path), "PIP_CONSTRAINT": constraints(tmp_path)}
-    folders = {"PIPX_HOME": tmp_path / "pipx", "UV_TOOL_DIR": tmp_path / "tools"}
+    locked = {"UV_CONSTRAINT": constraints(scratch), "PIP_CONSTRAINT": constraints(scratch)}
+    folders = {"PIPX_HOME": scratch / "pipx", "UV_TOOL_DIR": scratch / "tools"}
     paths = {"UV_PYTHON": Path(sys.executable), **locked, **folders}
     variables = {name: str(path) for name, path in paths.items()} | {"PIP_NO_COMPILE": "1"}
-    (tmp_path / "mine.yaml").write_text(SETTINGS, "utf-8")
+    (scratch / "mine.yaml").write_text(SETTINGS, "utf-8")
     ended = subprocess.run(
-        [Path(sys.executable).with_name(command[0]), *command[1:]], cwd=tmp_path, text=True,
+        [Path(sys.executable).with_name(command[0]), *command[1:]], cwd=scratch, text=True,
         env=environment() | variables, capture_output=True, check=False,
     )  # fmt: skip
     assert "mine.yaml: valid. 1 acquisition" in ended.stdout, ended.stderr

@@ -1,6 +1,8 @@
 """Files for deployment of the workflow: test run, catalogue, environment, container."""
 
+import os
 import re
+import subprocess
 import tomllib
 from pathlib import Path
 
@@ -40,6 +42,16 @@ def test_one_script_completes_both_environments() -> None:
         for name in ("rfpipe", "rfpipe.pinned")
     ]
     assert scripts[0] == scripts[1]
+
+
+def test_an_environment_without_a_clone_is_refused(tmp_path: Path) -> None:
+    ended = subprocess.run(
+        ["bash", ROOT / "workflow/envs/rfpipe.post-deploy.sh"],
+        env={**os.environ, "RFPIPE_HOME": str(tmp_path)},
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert ended.returncode == 1
+    assert f"{tmp_path} has none. Run the Snakefile of a clone" in ended.stderr
 
 
 def test_the_container_installs_the_locked_versions_by_their_hashes() -> None:
