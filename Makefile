@@ -23,8 +23,8 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 .DELETE_ON_ERROR:
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
-.PHONY: help install run thesis figures aim calibrate serve unlock test test-all validators lint \
-  format bench benchmark measured config lock clean
+.PHONY: help install run thesis figures aim calibrate serve unlock test test-all validators dist \
+  release lint format bench benchmark measured config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -88,6 +88,13 @@ validators: $(INSTALLED) ## install the validators of published runs into .venv-
 	uv pip install --quiet --require-hashes --python .venv-validators/bin/python \
 	  --requirement validators.lock
 
+dist: $(INSTALLED) ## build the sdist and the wheel into dist/
+	rm -rf dist
+	uv build --quiet --no-build-isolation --python $(VENV)/bin/python
+
+release: dist ## build, check and try a release on each Python found here: at most 5 minutes each
+	env -u PYTHONDONTWRITEBYTECODE pytest -v tests/release tests/unit/test_deployment.py
+
 lint: $(INSTALLED) ## check style, types, layers and the workflow
 	ruff check .
 	ruff format --check .
@@ -95,6 +102,7 @@ lint: $(INSTALLED) ## check style, types, layers and the workflow
 	lint-imports
 	snakefmt --check Snakefile figures/Snakefile workflow/rules
 	snakemake --lint
+	hadolint Containerfile
 
 format: $(INSTALLED) ## format the sources and the workflow
 	ruff check --fix .

@@ -23,7 +23,7 @@ settings.load_profile("rfpipe")
 
 _HERE = Path(__file__).parent
 
-_WITHOUT_KERNELS = (_HERE / "server", _HERE / "device")
+_WITHOUT_KERNELS = (_HERE / "server", _HERE / "device", _HERE / "release")
 _WORKFLOW = _HERE / "workflow"
 
 _hidden = needs.hide()

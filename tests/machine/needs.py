@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 
 import pytest
 
-__all__ = ["HINTS", "hide", "need", "program"]
+__all__ = ["DIST", "HINTS", "hide", "need", "program"]
 
 HINTS = {
     "alp": "pip install ALP4lib",
@@ -23,6 +23,7 @@ HINTS = {
     "chromium": "apt-get install chromium",
     "llvm": "apt-get install libllvm19",
     "micro_manager": "pip install pymmcore mm-test-adapters",
+    "release": "make dist",
     "slurm": "apt-get install slurmctld slurmd slurm-client munge, and be root",
     "torch": ".venv/bin/python -m pip install torch",
     "validators": "make validators",
@@ -30,7 +31,10 @@ HINTS = {
 }
 """How each is installed."""
 
+DIST = Path(__file__).parents[2] / "dist"
 VALIDATORS = Path(__file__).parents[2] / ".venv-validators" / "bin" / "python"
+
+_FILES = {"release": (DIST, "*.whl"), "validators": (VALIDATORS.parent, VALIDATORS.name)}
 
 _PACKAGES = {
     "alp": ("ALP4",),
@@ -76,10 +80,11 @@ def _is_here(name: str) -> bool:
             return bool(load_aravis())
         except CaptureError:
             return False
-    if name == "validators":
-        return VALIDATORS.exists()
     if name == "slurm":
         return os.geteuid() == 0 and all(map(shutil.which, _PROGRAMS[name]))
+    if name in _FILES:
+        folder, pattern = _FILES[name]
+        return any(folder.glob(pattern))
     packages = _PACKAGES.get(name)
     return all(map(find_spec, packages)) if packages else program(name) is not None
 

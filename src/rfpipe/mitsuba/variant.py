@@ -15,6 +15,7 @@ from typing import Any
 
 from rfpipe.installation import needing
 
+_USER = "a scene of kind mitsuba"
 _VARIABLE = "DRJIT_LIBLLVM_PATH"
 # Dr.Jit 1.5 refuses LLVM 14 and crashes with 15 and 16; it ran with 19 and 22.
 _MIN_LLVM = 19
@@ -39,7 +40,7 @@ def load_mitsuba() -> Any:
     library = usable_llvm()
     if library is not None:
         os.environ[_VARIABLE] = str(library)
-    with needing("mitsuba", "a scene of kind mitsuba"):
+    with needing("mitsuba", _USER):
         import mitsuba
     if mitsuba.variant() is None:
         mitsuba.set_variant("scalar_rgb" if library is None else "llvm_ad_rgb")
@@ -75,9 +76,10 @@ def usable_llvm() -> Path | None:
 
 
 def variant_versions() -> dict[str, str]:
-    """Versions of Mitsuba, Dr.Jit and LLVM on this machine."""
+    """Versions of Mitsuba, Dr.Jit and LLVM on this machine; InputError without Mitsuba."""
     library = usable_llvm()
-    packages = {name: metadata.version(name) for name in ("drjit", "mitsuba")}
+    with needing("mitsuba", _USER):
+        packages = {name: metadata.version(name) for name in ("drjit", "mitsuba")}
     return packages | ({} if library is None else {"llvm": str(_version(library))})
 
 
