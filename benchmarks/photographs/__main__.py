@@ -15,6 +15,7 @@ from benchmarks import harness
 from benchmarks.photographs.domes import dome_tables
 from benchmarks.photographs.full_size import size_row
 from benchmarks.photographs.gray_code import held_out_rows, place_rows
+from benchmarks.photographs.relightable import relightable_table
 
 # Pairs of the code of 100 x 100 with the finest stripes of columns and of rows.
 _FINEST = (6, 13)
@@ -39,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if _is_there(psm):
         rows = (dict(row) for _, row in dome_tables(psm).iterrows())
         harness.write("photographs_domes", rows)
+        table = relightable_table(psm, range(7))
+        harness.write("photographs_relightable", (dict(row) for _, row in table.iterrows()))
     if _is_there(dvrk):
         harness.write("photographs_places", place_rows(dvrk, (4, 2, 1) if options.full else (4, 2)))
         harness.write("photographs_held_out", _held_out(dvrk))

@@ -16,7 +16,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from benchmarks.photographs.simulated import DOMES, OBJECTS, simulated_dome
-from rfpipe.array_types import Double
+from rfpipe.array_types import Bools, Double
 from rfpipe.light_files import lights_in
 from rfpipe.lights.interpolation import angles_between, interpolate, trend, unit
 from rfpipe.lights.shading import fit_shading, shaded
@@ -129,9 +129,10 @@ def dome_tables(folder: Path) -> pd.DataFrame:
     """
     rows = []
     for place in sorted({folder, *(path for path in folder.iterdir() if path.is_dir())}):
-        dome = _read_dome(place)
+        dome = read_dome(place)
         if dome is not None:
-            for light, pictures in (("rgb", dome[0]), ("grey", dome[0].mean(axis=1)[:, None])):
+            colours = np.moveaxis(dome[0], -1, 1)[:, :, dome[2]]
+            for light, pictures in (("rgb", colours), ("grey", colours.mean(axis=1)[:, None])):
                 rows += [
                     {"dome": place.name, "light": light, **row} for row in _rows(pictures, dome[1])
                 ]
@@ -176,8 +177,8 @@ def _rows(
         yield {"lights": number, **{name: 100 * float(np.mean(e)) for name, e in errors.items()}}
 
 
-def _read_dome(folder: Path) -> tuple[NDArray[np.float32], Double] | None:
-    """Return pictures (L, C, pixels) and directions (L, 3); None where a folder has no dome."""
+def read_dome(folder: Path) -> tuple[NDArray[np.float32], Double, Bools] | None:
+    """Return pictures (L, H, W, C), unit vectors (L, 3) and a mask; None if a folder has none."""
     from rfpipe.pictures.files import natural
 
     files = [p for p in folder.iterdir() if p.suffix.lower() in (".png", ".jpg", ".tif", ".tga")]
@@ -192,4 +193,4 @@ def _read_dome(folder: Path) -> tuple[NDArray[np.float32], Double] | None:
     mask = np.ones(pictures.shape[1:3], np.bool_)
     if masks:
         mask = np.atleast_3d(read_image(masks[0])).max(axis=-1) > 0.5
-    return np.moveaxis(pictures[:, mask], -1, 1), directions.astype(np.float64)
+    return pictures, unit(directions), mask

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from pathlib import Path
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from rfpipe.array_types import Float
 from rfpipe.environment import as_directions
 from rfpipe.errors import InputError
+from rfpipe.output import write_atomically
 from rfpipe.pictures.lists import read_directions, read_numbers, read_text
 from rfpipe.pictures.names import match_names
 
@@ -119,6 +120,16 @@ def read_lights(path: str | Path, pictures: Sequence[str] = ()) -> Float:
     """
     lights = _read(Path(path), pictures)
     return lights.directions[_order(lights, pictures)] if pictures else lights.directions
+
+
+def write_directions(
+    path: Path, pictures: Sequence[str], directions: Iterable[NDArray[np.floating]]
+) -> None:
+    """Write an ``.lp`` file of RTI: a line ``name x y z`` for the light of each picture."""
+    pairs = zip(pictures, directions, strict=True)
+    lines = [" ".join([name, *(f"{value:.7g}" for value in light)]) for name, light in pairs]
+    content = "\n".join([str(len(lines)), *lines, ""])
+    write_atomically(path, content.encode(), resumes=False)
 
 
 def intensities_in(folder: Path, pictures: Sequence[str], *, parent: bool = False) -> Float | None:

@@ -73,7 +73,7 @@ def test_a_panorama_is_the_sum_of_its_directions() -> None:
         for way, light in zip(sky.directions[::16], sky.light[::16, 0], strict=True)
     )
     part = Sky(sky.directions[::16], sky.light[::16])
-    image = transport._light_interpolation(None).relight(transport, part)
+    image = transport.light_interpolation().relight(transport, part)
     assert relative(image, summed) < 2e-2  # each direction's picture is clipped at 0, a table
 
 

@@ -12,6 +12,7 @@ import typer
 from rfpipe.cli.catalogue import catalogue
 from rfpipe.cli.compare import compare
 from rfpipe.cli.fit import fit
+from rfpipe.cli.lights import lights
 from rfpipe.cli.offline import import_, patterns
 from rfpipe.cli.plan import plan
 from rfpipe.cli.publishing import collection, keep, publish
@@ -59,6 +60,7 @@ app.command()(relight)
 app.command()(export)
 app.command()(movie)
 app.command()(fit)
+app.command()(lights)
 app.command()(patterns)
 app.command("import")(import_)
 app.command()(aim)

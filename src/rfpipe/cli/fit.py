@@ -56,6 +56,13 @@ def fit(
     ambient: Annotated[
         Path | None, typer.Option(help="Picture of the ambient light, to be subtracted as well.")
     ] = None,
+    flat_field: Annotated[
+        Path | None,
+        typer.Option(
+            help="Folder with pictures of a matt white card in the object's place, one under each "
+            "light of a dome, by which uneven light is divided out."
+        ),
+    ] = None,
     transfer: Annotated[
         Literal["linear", "srgb"] | None,
         typer.Option(
@@ -99,7 +106,7 @@ def fit(
     """
     from rfpipe.config import load_camera
     from rfpipe.errors import InputError
-    from rfpipe.fitting import fit_transport, read_series
+    from rfpipe.fitting import fit_transport, flat_fielded, read_series
     from rfpipe.jobs.job import Progress
     from rfpipe.output import checked_output
     from rfpipe.photometry import CameraModel, sensor_from_config
@@ -123,6 +130,12 @@ def fit(
         transfer=transfer, camera_bin=camera_bin, projector_bin=projector_bin,
         memory_gib=memory_gib, progress=True,
     )  # fmt: skip
+    if flat_field is not None:
+        card = read_series(
+            flat_field, lights=(1, len(series.patterns)), camera=camera, black=black,
+            ambient=ambient, transfer=transfer, camera_bin=camera_bin or 1, progress=True,
+        )  # fmt: skip
+        series = flat_fielded(series, card)
     for note in series.notes:
         typer.echo(f"note: {note}", err=True)
     with displayed_by(partial(Progress, unit="step")):

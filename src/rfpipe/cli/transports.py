@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import typer
 
 from rfpipe.errors import InputError
-from rfpipe.text import counted
+from rfpipe.text import counted, percent
 
 if TYPE_CHECKING:
     import numpy as np
@@ -108,7 +108,7 @@ def export(
             "-o",
             help="File to write: .npz, .h5, .hdf5 or .mat (MATLAB v7.3); .exr with a part for the "
             "picture of each projector ray, and an .lp file with the lights' directions next to "
-            "it; or, with --photographs, a folder.",
+            "it; with --photographs, a folder; with --relight, a folder or .ptm.",
         ),
     ],
     rows: Annotated[
@@ -158,20 +158,37 @@ def export(
             "with a normal map.",
         ),
     ] = False,
+    relight: Annotated[
+        bool,
+        typer.Option(
+            "--relight",
+            help="Write a relightable image (RTI) of a dome instead: a folder for OpenLIME, or a "
+            ".ptm file for RTIViewer.",
+        ),
+    ] = False,
 ) -> None:
-    """Export the transport matrix T, or some rows and columns; photographs; or normals.
+    """Export the transport matrix T, or some rows and columns; photographs; normals; or an RTI.
 
     T has the shape (channels, camera rays, projector rays). It is written in parts, with little
     memory. docs/export.md shows how to read it in MATLAB, NumPy and other programs.
     """
     import numpy as np
 
-    from rfpipe.export import write_lights, write_normals, write_photographs
+    from rfpipe.export import (
+        write_lights,
+        write_normals,
+        write_photographs,
+        write_relightable_image,
+    )
     from rfpipe.output import checked_output
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_export import write_matrix
 
-    option = " --normals" if normals else " --photographs" if photographs else ""
+    kinds = {"--normals": normals, "--relight": relight, "--photographs": photographs}
+    chosen = [name for name, value in kinds.items() if value]
+    if len(chosen) > 1:
+        raise InputError(f"{' and '.join(chosen)} exclude each other; give one of them")
+    option = "".join(f" {name}" for name in chosen)
     suffix = checked_output(f"export{option}", output)
     light, limit_bytes = opened(path, level=level), int(limit_gib * _GIB)
     joint = coarser(light, joined) if joined > 1 else light
@@ -184,14 +201,20 @@ def export(
             "an .exr file needs all camera rays, and --photographs needs all rays; leave out "
             "--rows and, with --photographs, --columns"
         )
+    if (normals or relight) and (rows or columns or dual or joined > 1):
+        raise InputError(f"{option.strip()} needs all pixels and lights; leave out other options")
     if normals:
-        if photographs or rows or columns or dual or joined > 1:
-            raise InputError("--normals needs all pixels and lights; leave out the other options")
         surface = write_normals(light, output)
         degrees = np.median(surface.uncertainty[surface.mask]) if surface.mask.any() else np.nan
         typer.echo(
             f"{output}: normals of {surface.mask.mean():.0%} of the pixels, with a median "
             f"uncertainty of {degrees:.2g} degrees, assuming exact light directions"
+        )
+    elif relight:
+        image = write_relightable_image(light, output)
+        typer.echo(
+            f"{output}: relightable image of {times(image.shape)} pixels, "
+            f"{percent(image.error)}% off the pictures of the lights, white is {image.white:.4g}"
         )
     elif photographs:
         white = write_photographs(joint, output, *photographs, seed=seed, form=form)

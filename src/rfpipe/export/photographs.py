@@ -11,12 +11,13 @@ from rfpipe.array_types import Float
 from rfpipe.blocks import RayDomain
 from rfpipe.errors import InputError
 from rfpipe.export.movies import relit_pictures
+from rfpipe.light_files import write_directions
 from rfpipe.lights.interpolation import unit
 from rfpipe.output import OUTPUTS, suffix_of
 from rfpipe.pictures.images import write_code_picture, write_image, write_parts
 from rfpipe.provenance import generator
 from rfpipe.relighting import shapes
-from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
+from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors
 from rfpipe.transport.algebra import RaySelection, check_size, selected_rays
 from rfpipe.transport.normals import Normals
 from rfpipe.transport.regrouping import cell_sums
@@ -78,12 +79,7 @@ def write_lights(
     directions_file.unlink(missing_ok=True)
     if light.lights is not None:
         directions = np.asarray(members[chosen] @ unit(light.lights))
-        lines = [
-            f"{name} {x:.7g} {y:.7g} {z:.7g}\n"
-            for name, (x, y, z) in zip(names, directions.tolist(), strict=True)
-        ]
-        content = f"{len(lines)}\n{''.join(lines)}".encode()
-        write_atomically(directions_file, content, resumes=False)
+        write_directions(directions_file, names, directions)
     return len(names)
 
 

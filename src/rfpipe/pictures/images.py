@@ -19,7 +19,12 @@ from rfpipe.pictures.files import read_parts, read_picture
 PICTURE_SUFFIXES = (".exr", ".png")
 """Of the files that `write_image` writes."""
 
+JPEG_QUALITY = 95
+"""Of the pictures that `write_jpeg` writes, 0 to 100."""
+
 _ROUNDING = 0.6 / 255  # of 8 bits
+
+_JPEG_ROUNDING = 0.3  # 0.1 with noise; a cut file is grey
 
 UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     1: lambda pixels: pixels,
@@ -183,8 +188,18 @@ def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> N
     _write(path, oiio.ImageBuf(np.ascontiguousarray(np.atleast_3d(codes))), "uint8")
 
 
-def _write(path: Path, picture: Any, kind: str) -> None:
-    """Write a picture, and read it back: OpenImageIO writes cut PNG files without an error."""
+def write_jpeg(path: Path, codes: NDArray[np.uint8]) -> None:
+    """Write 8 bits (H, W, 3) as a JPEG file in which all channels have the full resolution."""
+    import OpenImageIO as oiio
+
+    picture = oiio.ImageBuf(np.ascontiguousarray(codes))
+    picture.specmod().attribute("Compression", f"jpeg:{JPEG_QUALITY}")
+    picture.specmod().attribute("jpeg:subsampling", "4:4:4")
+    _write(path, picture, "uint8", _JPEG_ROUNDING)
+
+
+def _write(path: Path, picture: Any, kind: str, rounding: float = _ROUNDING) -> None:
+    """Write a picture, and read it back: OpenImageIO writes cut files without an error."""
     import OpenImageIO as oiio
 
     pixels = np.asarray(picture.get_pixels(oiio.FLOAT))
@@ -192,7 +207,7 @@ def _write(path: Path, picture: Any, kind: str) -> None:
     def check(partial: Path) -> None:
         with _raising_damage(path, partial):
             stored = read_picture(partial).fractions
-            close = np.isclose(stored, pixels, rtol=0, atol=_ROUNDING, equal_nan=True)
+            close = np.isclose(stored, pixels, rtol=0, atol=rounding, equal_nan=True)
             if kind == "float":
                 close = (stored == pixels) | np.isnan(pixels)
             if stored.shape != pixels.shape or not close.all():

@@ -10,7 +10,7 @@ from math import prod
 
 import numpy as np
 
-from rfpipe.array_types import Double, Float
+from rfpipe.array_types import Double, Float, Index
 from rfpipe.environment import Sky
 from rfpipe.lights.interpolation import MOST_LIGHTS, Interpolation, between, interpolate
 from rfpipe.lights.shading import fit_shading, shaded
@@ -59,6 +59,33 @@ class LightInterpolation:
             image = (image + shading).astype(np.float32)
         positive = np.maximum(image, 0)
         return np.moveaxis(positive, 0, -1).reshape(*transport.camera_shape, len(positive))
+
+    def pictures_from(
+        self, directions: Double, pictures: Float, rays: Index | slice = slice(None)
+    ) -> Double:
+        """Return the radiance of some rays under one light from each of several directions.
+
+        Parameters
+        ----------
+        directions : ndarray of float64, shape (D, 3)
+            Unit vectors.
+        pictures : ndarray of float32, shape (channels, rays, lights)
+            Radiance of these rays under the lights.
+        rays
+            Numbers of the rays.
+
+        Returns
+        -------
+        ndarray of float64, shape (channels, rays, D)
+        """
+        weights, share, shading = self.interpolation.weights(directions)
+        radiance: Double = pictures @ weights.T
+        if self.vectors is not None:
+            lights = self.interpolation.directions
+            for channel, vectors in enumerate(self.vectors[:, rays]):
+                radiance[channel] += (share[:, None] * shaded(vectors, directions)).T
+                radiance[channel] -= shaded(vectors, lights).T @ shading.T
+        return np.maximum(radiance, 0)
 
 
 def interpolate_lights(transport: MatrixAlgebra, directions: Float) -> LightInterpolation:

@@ -147,7 +147,7 @@ class Relightable(MatrixAlgebra):
 
         towards = unit(as_directions(np.asarray(direction, np.float32)[None], "direction"))
         sky = Sky(towards, np.ones((1, self.channels)))
-        return self._light_interpolation(None).relight(self, sky)
+        return self.light_interpolation().relight(self, sky)
 
     def relight_environment(
         self,
@@ -182,10 +182,13 @@ class Relightable(MatrixAlgebra):
         from rfpipe.environment import sky_of
 
         sky = sky_of(environment, turned, mirrored)
-        return self._light_interpolation(lights).relight(self, sky)
+        return self.light_interpolation(lights).relight(self, sky)
 
-    def _light_interpolation(self, lights: ArrayLike | None) -> LightInterpolation:
-        """Return the interpolation between lights, by default the transport's, computed once."""
+    def light_interpolation(self, lights: ArrayLike | None = None) -> LightInterpolation:
+        """Return the interpolation between lights, by default the transport's, computed once.
+
+        InputError if the directions of the lights are unknown.
+        """
         from rfpipe.environment import as_directions
         from rfpipe.transport.light_interpolation import interpolate_lights
 
