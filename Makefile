@@ -24,7 +24,7 @@ export PATH := $(CURDIR)/$(VENV)/bin:$(PATH)
 # `make unlock run` unlocks first, also under -j
 .NOTPARALLEL:
 .PHONY: help install run thesis figures aim calibrate serve unlock test test-all validators dist \
-  release lint format bench benchmark measured config lock clean
+  release lint format docs bench benchmark measured config lock clean
 
 help: ## list the targets
 	@echo "rfpipe: acquire, store and relight the light transport between a projector and a camera"
@@ -109,6 +109,12 @@ format: $(INSTALLED) ## format the sources and the workflow
 	ruff format .
 	snakefmt Snakefile figures/Snakefile workflow/rules
 
+docs: $(INSTALLED) ## build all pages, the gallery and the reference as a site: build/docs/index.html
+	@rm -rf build/docs
+	python -m sphinx --quiet --fresh-env --fail-on-warning --keep-going --doctree-dir build/doctrees \
+	  --conf-dir docs/site . build/docs
+	@echo build/docs/index.html
+
 bench: $(INSTALLED) ## run the speed benchmarks; writes results/bench/*.csv (benchmarks/README.md)
 	@for script in benchmarks/bench_*.py; do echo "$$script"; \
 	  python -m "benchmarks.$$(basename "$$script" .py)"; done
@@ -132,5 +138,5 @@ lock: $(INSTALLED) ## resolve pyproject.toml into requirements.lock and validato
 	uv pip compile --group validators $(LOCK_OPTIONS) --output-file validators.lock
 
 clean: ## remove caches and build files; results and .venv stay
-	rm -rf .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis dist
+	rm -rf .mypy_cache .pytest_cache .ruff_cache .import_linter_cache .hypothesis build dist
 	find src tests workflow benchmarks figures -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -1,12 +1,12 @@
 """Acquire, store and relight the light transport between a projector and a camera.
 
-``open_transport`` opens what a run stored, ``open_collection`` that of all its scenes, ``coarser``
-lowers a transport's resolution, ``crop`` takes a view or a part of one, ``picture_weights`` makes a
-pattern of a picture, ``environment_weights`` of a panorama the weights of lights, whose directions
-``read_lights`` reads, ``environment_coverage`` the share of its light that they cover; ``acquire``
-runs a whole acquisition in this process; ``OperatorRig`` is a rig made from a matrix or linear
-operator, which ``read_matrix`` finds in files of other programs, and ``CameraModel`` the camera
-that it may be given; ``errors`` are all that rfpipe raises on purpose. All but these are imported
+`open_transport` opens what a run stored, `open_collection` that of all its scenes, `coarser`
+lowers a transport's resolution, `crop` takes a view or a part of one, `picture_weights` makes a
+pattern of a picture, `environment_weights` of a panorama the weights of lights, whose directions
+`read_lights` reads, `environment_coverage` the share of its light that they cover; `acquire`
+runs a whole acquisition in this process; `OperatorRig` is a rig made from a matrix or linear
+operator, which `read_matrix` finds in files of other programs, and `CameraModel` the camera
+that it may be given; `errors` are all that rfpipe raises on purpose. All but these are imported
 when they are first used, so that ``import rfpipe`` stays quick.
 """
 

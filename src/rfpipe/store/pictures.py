@@ -57,7 +57,7 @@ class PictureStore:
     path : Path
         Folder with a zarr array, which any zarr reader opens, and the journal.
     shape : tuple of int
-        (items, *item shape).
+        (items, *item_shape).
     dtype : numpy.dtype
         Dtype of the frames.
     items_per_chunk, items_per_file : int
@@ -204,7 +204,7 @@ class PictureStore:
         start : int
             Index of the first item.
         block : ndarray
-            (B, *item shape), in the store's dtype; complete files.
+            (B, *item_shape), in the store's dtype; complete files.
 
         Raises
         ------
@@ -234,7 +234,7 @@ class PictureStore:
             self._digests.update(enumerate(digests, start))
 
     def read(self, start: int, stop: int) -> NDArray[Any]:
-        """Return items [start, stop), (stop - start, *item shape), checked against the journal.
+        """Return items [start, stop), (stop - start, *item_shape), checked against the journal.
 
         Raises
         ------
