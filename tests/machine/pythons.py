@@ -9,12 +9,12 @@ from pathlib import Path
 OLDEST, NEWEST = 11, 14
 
 
-def found_pythons() -> dict[str, Path]:
+def installed_pythons() -> dict[str, Path]:
     """Return the interpreters from Python 3.11 on, by version such as ``3.12``.
 
     They are those on the search path, of pyenv and of uv, and the one that runs the tests.
     """
-    found = {f"3.{sys.version_info.minor}": Path(sys.executable)}
+    interpreters = {f"3.{sys.version_info.minor}": Path(sys.executable)}
     pyenv = Path(os.environ.get("PYENV_ROOT") or "~/.pyenv").expanduser() / "versions"
     uv = Path(os.environ.get("UV_PYTHON_INSTALL_DIR") or "~/.local/share/uv/python").expanduser()
     for minor in range(OLDEST, NEWEST + 1):
@@ -26,5 +26,5 @@ def found_pythons() -> dict[str, Path]:
         ]
         usable = [path for path in candidates if os.access(path, os.X_OK)]
         if usable:
-            found.setdefault(f"3.{minor}", usable[0])
-    return dict(sorted(found.items()))
+            interpreters.setdefault(f"3.{minor}", usable[0])
+    return dict(sorted(interpreters.items()))

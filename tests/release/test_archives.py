@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from packaging.metadata import Metadata
 from packaging.specifiers import SpecifierSet
-from tests.machine.pythons import found_pythons
+from tests.machine.pythons import installed_pythons
 
 import rfpipe
 
@@ -69,6 +69,6 @@ def test_the_metadata_are_valid(release: Path) -> None:
     assert message_from_bytes(content)["Description-Content-Type"] == "text/markdown"
 
 
-@pytest.mark.parametrize("python", found_pythons())
+@pytest.mark.parametrize("python", installed_pythons())
 def test_the_classifiers_name_the_pythons_that_are_tried(python: str) -> None:
     assert f"Programming Language :: Python :: {python}" in PROJECT["project"]["classifiers"]

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from tests.machine.pythons import found_pythons
+from tests.machine.pythons import installed_pythons
 
 from rfpipe.installation import DISTRIBUTION
 from rfpipe.store import read_manifest
@@ -179,9 +179,9 @@ def constraints(folder: Path) -> Path:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("python", found_pythons())
+@pytest.mark.parametrize("python", installed_pythons())
 def test_the_wheel_works_without_the_clone(python: str, release: Path, scratch: Path) -> None:
-    installed = Installed.make(scratch, found_pythons()[python], release)
+    installed = Installed.make(scratch, installed_pythons()[python], release)
     for arguments, expected in STEPS.items():
         assert expected in installed.run(f"rfpipe {arguments}")
     record = read_manifest(installed.folder / "results" / "run.json")
