@@ -57,7 +57,8 @@ LARGEST_PICTURE = 2048
 _TILE = 256
 _OVERLAP = 1
 _SAMPLES = 4096
-_CHUNK = 4096
+_CHUNK = 512
+"""Rays at a time: their colours at all directions of the grid stay in the cache of a processor."""
 _RIDGE = 1e-4
 """Regularisation of the polynomials, per light."""
 
