@@ -44,6 +44,8 @@ INPUTS: dict[str, tuple[str, ...]] = {
     "export": ("export", "dome.zarr"),
     "export --normals": ("export", "dome.zarr", "--normals"),
     "export --photographs": ("export", "dome.zarr", "--photographs", "2", "1"),
+    "export --relight": ("export", "dome.zarr", "--relight"),
+    "lights": ("lights", "ball", "--ball", "9,9,9"),
     "movie": ("movie", "dome.zarr", "--seconds", "0.2"),
     "compare": ("compare", "relit"),
     "view": ("view", "dome.zarr"),
@@ -74,6 +76,10 @@ def inputs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("inputs")
     save_transport(dome(), folder / "dome.zarr")
     run("export", folder / "dome.zarr", "-o", folder / "lights.exr")
+    for name, column in (("a", 8), ("b", 11)):
+        ball = np.zeros((20, 20, 3), np.float32)
+        ball[9, column] = 1
+        write_image(folder / f"ball/{name}.png", ball)
     (folder / "offline.yaml").write_text(yaml.safe_dump(OFFLINE))
     write_run(folder / "run", "desk")
     run("publish", folder / "run", *CITED)  # writes the citation's file
@@ -122,6 +128,7 @@ def test_every_command_with_an_output_is_in_the_table() -> None:
         if any("--output" in option.opts for option in command.params)
     }
     assert writers == {name.partition(" --")[0] for name in OUTPUTS}
+    assert INPUTS.keys() == OUTPUTS.keys()
     assert {suffix for of in OUTPUTS.values() for suffix in of} <= {*FORMATS, FOLDER}
 
 

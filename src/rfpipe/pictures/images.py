@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -13,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from rfpipe.errors import InputError
-from rfpipe.output import damage_of, suffix_of, whole_file
+from rfpipe.output import damage_of, suffix_of, whole_file, write_atomically
 from rfpipe.pictures.files import read_parts, read_picture
 
 PICTURE_SUFFIXES = (".exr", ".png")
@@ -23,8 +24,6 @@ JPEG_QUALITY = 95
 """Of the pictures that `write_jpeg` writes, 0 to 100."""
 
 _ROUNDING = 0.6 / 255  # of 8 bits
-
-_JPEG_ROUNDING = 0.3  # 0.1 with noise; a cut file is grey
 
 UPRIGHT: dict[int, Callable[[NDArray[Any]], NDArray[Any]]] = {
     1: lambda pixels: pixels,
@@ -190,16 +189,15 @@ def write_code_picture(path: Path, light: NDArray[Any], gamma: float = 1.0) -> N
 
 def write_jpeg(path: Path, codes: NDArray[np.uint8]) -> None:
     """Write 8 bits (H, W, 3) as a JPEG file in which all channels have the full resolution."""
-    import OpenImageIO as oiio
+    from PIL import Image  # OpenImageIO's writer ends the process on a full disk
 
-    picture = oiio.ImageBuf(np.ascontiguousarray(codes))
-    picture.specmod().attribute("Compression", f"jpeg:{JPEG_QUALITY}")
-    picture.specmod().attribute("jpeg:subsampling", "4:4:4")
-    _write(path, picture, "uint8", _JPEG_ROUNDING)
+    content = io.BytesIO()
+    Image.fromarray(codes).save(content, "jpeg", quality=JPEG_QUALITY, subsampling="4:4:4")
+    write_atomically(path, content.getvalue(), resumes=False)
 
 
-def _write(path: Path, picture: Any, kind: str, rounding: float = _ROUNDING) -> None:
-    """Write a picture, and read it back: OpenImageIO writes cut files without an error."""
+def _write(path: Path, picture: Any, kind: str) -> None:
+    """Write a picture, and read it back: OpenImageIO writes cut PNG files without an error."""
     import OpenImageIO as oiio
 
     pixels = np.asarray(picture.get_pixels(oiio.FLOAT))
@@ -207,7 +205,7 @@ def _write(path: Path, picture: Any, kind: str, rounding: float = _ROUNDING) -> 
     def check(partial: Path) -> None:
         with _raising_damage(path, partial):
             stored = read_picture(partial).fractions
-            close = np.isclose(stored, pixels, rtol=0, atol=rounding, equal_nan=True)
+            close = np.isclose(stored, pixels, rtol=0, atol=_ROUNDING, equal_nan=True)
             if kind == "float":
                 close = (stored == pixels) | np.isnan(pixels)
             if stored.shape != pixels.shape or not close.all():
