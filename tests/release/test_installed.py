@@ -157,7 +157,7 @@ class Installed:
         program, *arguments = command.split()
         ended = subprocess.run(
             [self.programs / program, *arguments], cwd=self.folder, env=environment(), text=True,
-            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False, timeout=600,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT, check=False, timeout=1200,
         )  # fmt: skip
         assert ended.returncode == status, f"{command}\n{ended.stdout}"
         return ended.stdout
