@@ -385,14 +385,14 @@ def _estimates_of(rows: pd.DataFrame) -> str:
 
 
 def _sides(done: pd.DataFrame) -> str:
-    """Return a table of the settings that were run at several sides; empty where none was."""
-    setting = ["scene", "light", "method", "option", "value"]
+    """Return a table of the settings and seeds that were run at several sides; empty for none."""
+    setting = ["scene", "light", "seed", "method", "option", "value"]
     several = done.groupby(setting)["side"].transform("nunique") > 1
     lines = []
     for (*named, _, side), setting_rows in done[several].groupby(
         [*setting, "projector_rays", "side"]
     ):
-        scene, light, method, option, value = named
+        scene, light, _, method, option, value = named
         mean = setting_rows[
             ["pictures", "patterns", "error_mean", "processing_s", "memory_gb"]
         ].mean()
