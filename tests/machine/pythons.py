@@ -6,11 +6,12 @@ import os
 import sys
 from pathlib import Path
 
-OLDEST, NEWEST = 11, 14
+OLDEST, NEWEST = 11, 13
+"""Minor versions of Python that rfpipe supports."""
 
 
 def installed_pythons() -> dict[str, Path]:
-    """Return the interpreters from Python 3.11 on, by version such as ``3.12``.
+    """Return the interpreters of the supported versions, such as ``3.12``.
 
     They are those on the search path, of pyenv and of uv, and the one that runs the tests.
     """
