@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
+
+if TYPE_CHECKING:
+    from rfpipe.lights.chrome_ball import Ball
 
 
 def lights(
@@ -32,7 +35,7 @@ def lights(
     from rfpipe.errors import InputError
     from rfpipe.fitting.names import sort_pictures
     from rfpipe.light_files import write_directions
-    from rfpipe.lights.chrome_ball import Ball, ball_of_mask, light_of_ball
+    from rfpipe.lights.chrome_ball import light_of_ball
     from rfpipe.output import checked_output
     from rfpipe.pictures import picture_files
     from rfpipe.pictures.images import read_image
@@ -40,18 +43,7 @@ def lights(
 
     checked_output("lights", output)
     files = sort_pictures(picture_files(folder, (".jpeg", ".jpg")))
-    if ball is not None:
-        try:
-            circle = Ball(*map(float, ball.split(",")))
-        except (TypeError, ValueError):
-            raise InputError(
-                f"--ball {ball}: expected three numbers, ROW,COLUMN,RADIUS, such as 410,633.5,52"
-            ) from None
-    elif files.mask is not None:
-        mask = read_image(files.mask)
-        circle = ball_of_mask((mask if mask.ndim == 2 else mask.max(axis=-1)) > 0.5)
-    else:
-        raise InputError(f"{folder}: has no mask of the ball; give --ball ROW,COLUMN,RADIUS")
+    circle = _circle(ball, folder, files.mask)
     directions = []
     for file in files.pictures:
         try:
@@ -72,3 +64,22 @@ def lights(
         f"{output}: {counted(len(directions), 'light')}, from the ball at row {row:.1f}, column "
         f"{column:.1f} with radius {radius:.1f}"
     )
+
+
+def _circle(ball: str | None, folder: Path, mask: Path | None) -> Ball:
+    """Return the circle of the ball, by the option or the mask in the folder."""
+    from rfpipe.errors import InputError
+    from rfpipe.lights.chrome_ball import Ball, ball_of_mask
+    from rfpipe.pictures.images import read_image
+
+    if ball is not None:
+        try:
+            return Ball(*map(float, ball.split(",")))
+        except (TypeError, ValueError):
+            raise InputError(
+                f"--ball {ball}: expected three numbers, ROW,COLUMN,RADIUS, such as 410,633.5,52"
+            ) from None
+    if mask is None:
+        raise InputError(f"{folder}: has no mask of the ball; give --ball ROW,COLUMN,RADIUS")
+    picture = read_image(mask)
+    return ball_of_mask((picture if picture.ndim == 2 else picture.max(axis=-1)) > 0.5)

@@ -259,17 +259,8 @@ def _write_folder(dome: _Dome, interpolation: LightInterpolation, folder: Path) 
     grid = restored.T.reshape(len(directions), -1)
     lights = dome.directions[dome.in_front]
     shown = (grid_weights(lights, RESOLUTION) @ grid).reshape(len(lights), 3, -1)
-    height, width = dome.shape
     info = {
-        "width": width,
-        "height": height,
-        "format": "jpg",
-        "type": "bilinear",
-        "resolution": RESOLUTION,
-        "colorspace": "mrgb",
         "lights": lights.round(6).ravel().tolist(),
-        "nplanes": PLANES,
-        "quality": JPEG_QUALITY,
         "basis": components.codes.ravel().tolist(),
         "materials": [
             {
@@ -279,13 +270,28 @@ def _write_folder(dome: _Dome, interpolation: LightInterpolation, folder: Path) 
             }
         ],
     }
-    _write_planes(folder, codes.reshape(height, width, PLANES), info)
+    _write_planes(folder, codes.reshape(*dome.shape, PLANES), info)
     return RelightableImage(dome.shape, dome.error(shown, sample), dome.white)
 
 
-def _write_planes(folder: Path, codes: NDArray[np.uint8], info: dict[str, Any]) -> None:
-    """Write the files of a folder, completely or not at all."""
-    is_large = max(codes.shape[:2]) > LARGEST_PICTURE
+def _write_planes(folder: Path, codes: NDArray[np.uint8], of_basis: dict[str, Any]) -> None:
+    """Write the files of a folder, completely or not at all.
+
+    `of_basis` are the entries of ``info.json`` that depend on the lights and the basis.
+    """
+    height, width = codes.shape[:2]
+    info = {
+        "width": width,
+        "height": height,
+        "format": "jpg",
+        "type": "bilinear",
+        "resolution": RESOLUTION,
+        "colorspace": "mrgb",
+        "nplanes": PLANES,
+        "quality": JPEG_QUALITY,
+        **of_basis,
+    }
+    is_large = max(height, width) > LARGEST_PICTURE
     page = _PAGE.format(title=folder.name, layout="deepzoom" if is_large else "image")
     new = hidden_sibling(folder, "new")
     try:
