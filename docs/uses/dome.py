@@ -1,12 +1,12 @@
 """Photographs under the lights of a dome in a folder, relit by a panorama, and their normals.
 
 Usage: ``python docs/uses/dome.py [SIDE [FOLDER]]``, by default 128 and results/uses. Writes
-``FOLDER/dome.png``, and nothing else.
+``FOLDER/dome.png``, and the photographs into ``FOLDER/dome``.
 """
 
+import shutil
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import OpenImageIO as oiio
@@ -34,10 +34,13 @@ albedo = np.where(np.sin(6 * np.arctan2(y, x))[..., None] > 0, [0.8, 0.55, 0.3],
 facing = np.maximum(np.moveaxis(normals @ lights.T, -1, 0), 0)[..., None]
 noise = 1.5 * np.random.default_rng(1).standard_normal((count, side, side, 3))
 counts = np.clip(240 * albedo * facing + noise, 0, 255)
-temporary = TemporaryDirectory()
-photographs = Path(temporary.name)
+photographs = folder / "dome"
+shutil.rmtree(photographs, ignore_errors=True)
+photographs.mkdir()
 for index, picture in enumerate(np.rint(counts).astype(np.uint8)):
-    oiio.ImageBuf(np.ascontiguousarray(picture)).write(str(photographs / f"{index + 1:02d}.png"))
+    image = oiio.ImageBuf(np.ascontiguousarray(picture))
+    image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")  # linear, not sRGB
+    image.write(str(photographs / f"{index + 1:02d}.png"))
 np.savetxt(photographs / "lights.txt", lights, header=f"{count}", comments="")
 
 fit = fit_transport(read_series(photographs))  # as `rfpipe fit` does
@@ -62,5 +65,4 @@ for axis, (title, image) in zip(axes, images.items(), strict=True):
 assert fit.error is not None
 figure.suptitle(f"photographs under lights that were left out are {fit.error:.1%} off")
 figure.savefig(folder / "dome.png", dpi=68)
-print(f"wrote {folder / 'dome.png'}")
-temporary.cleanup()
+print(f"wrote {folder / 'dome.png'}, and the photographs into {photographs}")

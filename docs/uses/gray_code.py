@@ -1,12 +1,12 @@
 """Photographs of Gray code in a folder, and the fit, places and relit pictures that follow.
 
 Usage: ``python docs/uses/gray_code.py [SIDE [FOLDER]]``, by default 96 and results/uses. Writes
-``FOLDER/gray_code.png``, and nothing else.
+``FOLDER/gray_code.png``, and the photographs into ``FOLDER/gray_code``.
 """
 
+import shutil
 import sys
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import numpy as np
 import OpenImageIO as oiio
@@ -30,11 +30,14 @@ patterns = [np.array(read()) for read in code_patterns(code, count, white_and_bl
 light = scene.apply(np.reshape(patterns, (count, -1)).astype(np.float32))
 light *= 200 / np.quantile(light, 0.99)
 counts = np.clip(light + 10 + 1.5 * np.random.default_rng(1).standard_normal(light.shape), 0, 255)
-temporary = TemporaryDirectory()
-photographs = Path(temporary.name)
+photographs = folder / "gray_code"
+shutil.rmtree(photographs, ignore_errors=True)
+photographs.mkdir()
 for index, picture in enumerate(np.rint(counts).astype(np.uint8)):
     pixels = np.ascontiguousarray(picture.reshape(*camera.shape, -1))
-    oiio.ImageBuf(pixels).write(str(photographs / f"im{index + 1:02d}.png"))
+    image = oiio.ImageBuf(pixels)
+    image.specmod().attribute("oiio:ColorSpace", "lin_rec709_scene")  # linear, not sRGB
+    image.write(str(photographs / f"im{index + 1:02d}.png"))
 
 fit = fit_transport(read_series(photographs, patterns=code))  # as `rfpipe fit` does
 matches = fit.transport.correspondence()
@@ -57,5 +60,4 @@ for axis, (title, image) in zip(axes, images.items(), strict=True):
 summary = f"by {fit.model}: held-out photographs are {fit.error:.1%} off"
 figure.suptitle(f"{summary}, {fit.errors['the mean picture']:.0%} by the mean picture")
 figure.savefig(folder / "gray_code.png", dpi=60)
-print(f"wrote {folder / 'gray_code.png'}")
-temporary.cleanup()
+print(f"wrote {folder / 'gray_code.png'}, and the photographs into {photographs}")

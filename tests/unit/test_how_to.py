@@ -122,7 +122,7 @@ class HowTo:
 PAGES = {
     "clusters": HowTo(
         elsewhere={
-            "pip install": "workflow/test_slurm",
+            "--profile": "workflow/test_slurm",
             "set-resources": "settings of a cluster's profile",
             "groups:": "settings of a cluster's profile",
         }
