@@ -1,9 +1,28 @@
 """Symmetric systems in compiled code, against NumPy in double precision."""
 
+import os
+import subprocess
+import sys
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from rfpipe.methods.multiplexed.lapack_kernels import add_products, whiten
+
+CALLED_BY_FAST_CODE = """
+import numba
+import numpy as np
+from rfpipe.methods.multiplexed.lapack_kernels import whiten
+
+@numba.njit(fastmath=True)
+def whiten_fast(S, columns):
+    whiten(S, columns)
+
+S = np.eye(4, dtype=np.float32)
+S[3, 3] = np.nan
+whiten_fast(S, np.ones((4, 2), np.float32))
+"""
 
 
 @pytest.mark.parametrize(("size", "columns"), [(1, 1), (1, 5), (7, 3), (40, 60)])
@@ -40,3 +59,13 @@ def test_a_matrix_that_is_not_finite_is_rejected(row: int, column: int, value: f
     S[row, column] = value
     with pytest.raises(ValueError, match="finite"):
         whiten(S, np.ones((4, 2), np.float32))
+
+
+def test_code_with_fast_math_that_compiles_it_first_doesn_t_change_it(tmp_path: Path) -> None:
+    """Numba keeps the first compiled version, whose fast math would ignore NaN, on the disk."""
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", CALLED_BY_FAST_CODE],
+        env=environment, check=False, capture_output=True, text=True,
+    )  # fmt: skip
+    assert "ValueError: the matrix isn't finite" in done.stderr

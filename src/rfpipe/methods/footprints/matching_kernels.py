@@ -107,7 +107,7 @@ def match_all(
     return best, score
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, fastmath=False)
 def match_near(
     series: Float,
     image: Float,

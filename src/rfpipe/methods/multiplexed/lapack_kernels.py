@@ -59,7 +59,8 @@ def add_products(S: Float, rows: Float) -> None:
     )  # fmt: skip
 
 
-@numba.njit(cache=True, nogil=True)
+# Otherwise fast math, which takes NaN for impossible, is inherited from a caller that has it.
+@numba.njit(cache=True, nogil=True, fastmath=False)
 def whiten(S: Float, columns: Float) -> None:
     """Replace columns (n, m) by ``L^-1 columns``, where ``S = L L^T``.
 
