@@ -117,7 +117,8 @@ MISSING = {
 
 
 def test_each_extra_with_packages_is_in_the_table() -> None:
-    assert set(MISSING) == {name for name, packages in EXTRAS.items() if packages} - {"dev"}
+    unused = {"dev", "docs"}  # of the clone: no code of rfpipe imports their packages
+    assert set(MISSING) == {name for name, packages in EXTRAS.items() if packages} - unused
 
 
 @dataclass(frozen=True)

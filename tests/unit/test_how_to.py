@@ -138,7 +138,7 @@ PAGES = {
             "unit/test_scene_document",
         ),
     ),
-    "uses": HowTo(a_transport, names_of_uses),
+    "uses": HowTo(a_transport, names_of_uses, {"import torch": "unit/test_interop"}),
 }
 
 
