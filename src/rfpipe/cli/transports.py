@@ -172,14 +172,7 @@ def export(
     T has the shape (channels, camera rays, projector rays). It is written in parts, with little
     memory. docs/export.md shows how to read it in MATLAB, NumPy and other programs.
     """
-    import numpy as np
-
-    from rfpipe.export import (
-        write_lights,
-        write_normals,
-        write_photographs,
-        write_relightable_image,
-    )
+    from rfpipe.export import write_lights, write_photographs
     from rfpipe.output import checked_output
     from rfpipe.transport import coarser
     from rfpipe.transport.matrix_export import write_matrix
@@ -204,18 +197,9 @@ def export(
     if (normals or relight) and (rows or columns or dual or joined > 1):
         raise InputError(f"{option.strip()} needs all pixels and lights; leave out other options")
     if normals:
-        surface = write_normals(light, output)
-        degrees = np.median(surface.uncertainty[surface.mask]) if surface.mask.any() else np.nan
-        typer.echo(
-            f"{output}: normals of {surface.mask.mean():.0%} of the pixels, with a median "
-            f"uncertainty of {degrees:.2g} degrees, assuming exact light directions"
-        )
+        _export_normals(light, output)
     elif relight:
-        image = write_relightable_image(light, output)
-        typer.echo(
-            f"{output}: relightable image of {times(image.shape)} pixels, "
-            f"{percent(image.error)}% off the pictures of the lights, white is {image.white:.4g}"
-        )
+        _export_relightable_image(light, output)
     elif photographs:
         white = write_photographs(joint, output, *photographs, seed=seed, form=form)
         typer.echo(f"{output}: {counted(sum(photographs), 'photograph')}, white is {white:.4g}")
@@ -225,6 +209,29 @@ def export(
     else:
         write_matrix(joint, output, camera_rays, projector_rays, limit_bytes)
         typer.echo(f"{output}: T, {output.stat().st_size / 1e6:,.1f} MB")
+
+
+def _export_normals(light: Relightable, output: Path) -> None:
+    import numpy as np
+
+    from rfpipe.export import write_normals
+
+    surface = write_normals(light, output)
+    degrees = np.median(surface.uncertainty[surface.mask]) if surface.mask.any() else np.nan
+    typer.echo(
+        f"{output}: normals of {surface.mask.mean():.0%} of the pixels, with a median "
+        f"uncertainty of {degrees:.2g} degrees, assuming exact light directions"
+    )
+
+
+def _export_relightable_image(light: Relightable, output: Path) -> None:
+    from rfpipe.export import write_relightable_image
+
+    image = write_relightable_image(light, output)
+    typer.echo(
+        f"{output}: relightable image of {times(image.shape)} pixels, "
+        f"{percent(image.error)}% off the pictures of the lights, white is {image.white:.4g}"
+    )
 
 
 def movie(

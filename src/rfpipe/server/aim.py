@@ -185,8 +185,7 @@ class SceneMonitor:
                 try:
                     self._measure(projector, camera)
                     self._error = None
-                    if self.view.number % LOOKS_PER_TIMING == 1:
-                        self._measure_timing(projector, camera)
+                    self._measure_timing(projector, camera)
                 except RfpipeError as error:
                     self._error = str(error)
                     self._stopping.wait(RETRY_SECONDS)
@@ -216,7 +215,9 @@ class SceneMonitor:
         self.view = AimView(self.view.number + 1, _png(picture), facts)
 
     def _measure_timing(self, projector: Projector, camera: Camera) -> None:
-        """Measure delay, frames and light, and replace the latest verdicts."""
+        """Measure delay, frames and light after some views, and replace the latest verdicts."""
+        if self.view.number % LOOKS_PER_TIMING != 1:
+            return
         settings = CalibrationConfig(period_pixels=self._period)
         context = StepContext(projector, camera, settings, None, {}, self._progress)
         verdicts = measure_synchronisation(context)
