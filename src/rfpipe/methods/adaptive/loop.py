@@ -24,11 +24,21 @@ import logging
 from abc import abstractmethod
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from typing import Any, ClassVar, NamedTuple
+from typing import Any, ClassVar
 
 import numpy as np
 
 from rfpipe.blocks import RayDomain
+from rfpipe.methods.adaptive.candidates import (
+    Candidate,
+    best_candidate,
+    best_without_residual,
+    camera_cells,
+    error_of,
+    floodlit_of,
+    hierarchy_candidate,
+    model_candidate,
+)
 from rfpipe.methods.adaptive.decisions import (
     ALL_SHOWN,
     LIMIT_REACHED,
@@ -63,7 +73,6 @@ from rfpipe.methods.base import (
     Method,
     check_rays,
 )
-from rfpipe.methods.error_estimate import Estimate, estimate_error
 from rfpipe.methods.held_out import held_out_patterns
 from rfpipe.methods.images import Pictures, ScheduledImages
 from rfpipe.methods.residual.fit import fit_residual
@@ -72,20 +81,12 @@ from rfpipe.methods.residual.patterns import block_patterns
 from rfpipe.methods.states import joined, level_row, picture_count
 from rfpipe.patterns import Schedule
 from rfpipe.transport.base import Transport
-from rfpipe.transport.sum import SumTransport
 
 _log = logging.getLogger(__name__)
 
 # Where it is optional, the residual of a model is fitted in the second round, and kept if it leaves
 # less than this share of the error. On the tuning scenes it is kept there or in no round.
 _RESIDUAL_ROUND, _RESIDUAL_GAIN = 1, 0.95
-
-
-class Candidate(NamedTuple):
-    """A transport that may be returned, and its estimated error."""
-
-    estimate: Estimate
-    transport: Transport
 
 
 class AdaptiveMethod(Method[AdaptiveState]):
@@ -173,10 +174,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
             after = self._with_model_pictures(after, images, shown.held_out)
             after, best = self._fit_model(after)
         elif shown.count:
-            cell_pictures = _camera_cells(state).read(images, shown.held_out)
+            cell_pictures = camera_cells(state).read(images, shown.held_out)
             after, best = self._fit_residual(after.with_cell_pictures(cell_pictures))
         else:
-            best = self._best(after)
+            best = best_candidate(after, self._model(after))
         if shown.phase is Phase.PRIOR:
             return self._after_prior(after, best)
         after = _with_estimate_of(after, state, best)
@@ -191,7 +192,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         """Return the transport that predicts the held-out pictures best."""
         if state.residual is None and state.hierarchy_state is None:
             return self._model(state).transport(list(state.rows))  # the only one
-        return self._best(state).transport
+        return best_candidate(state, self._model(state)).transport
 
     # --- rounds
 
@@ -201,7 +202,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
         floodlit = self.prepared_floodlit(state, _read(state, images, 0, 1))
         model = self.first_model(state, floodlit)
         after = replace(state, rows=(row,), floodlit=floodlit, model=model)
-        after = _with_prepared(after, model, _camera_cells(after), [floodlit])
+        after = _with_prepared(after, model, camera_cells(after), [floodlit])
         phase = Phase.MODEL if state.prior is None else Phase.PRIOR
         return self._continue(after, Decision(phase))
 
@@ -213,9 +214,10 @@ class AdaptiveMethod(Method[AdaptiveState]):
             return self._continue(after, end(after) or Decision(Phase.MODEL))
         _log.info("the prior has an error of %.2g; continuing without it", best.estimate.error)
         after = replace(after, prior_is_refuted=True)
-        after = replace(after, model=self.first_model(after, _floodlit(after)))
+        after = replace(after, model=self.first_model(after, floodlit_of(after)))
         # an acquisition that ends here returns this model
-        after = after.with_estimate(self._best(after).estimate)
+        best = best_candidate(after, self._model(after))
+        after = after.with_estimate(best.estimate)
         return self._continue(replace(after, estimates=()), Decision(Phase.MODEL))
 
     def _with_model_pictures(
@@ -223,7 +225,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
     ) -> AdaptiveState:
         """Read the pictures of a round of the model from index `first` on, a few at a time."""
         pictures = Pictures.batches(images, state.channels, state.camera.size, first)
-        return _with_prepared(state, self._model(state), _camera_cells(state), pictures)
+        return _with_prepared(state, self._model(state), camera_cells(state), pictures)
 
     def prepared_floodlit(self, state: AdaptiveState, picture: Pictures) -> Pictures:
         """Return the floodlit picture as the model uses it; here unchanged."""
@@ -234,26 +236,27 @@ class AdaptiveMethod(Method[AdaptiveState]):
         shown, model = state.next_round, self._model(state).fit(state.pictures)
         state = replace(state.with_row(**model.counts), model=model, residual=None)
         assert shown is not None
-        base = self._best_without_residual(state)
+        base = best_without_residual(state, model)
         if self.residual_is_optional and shown.index != _RESIDUAL_ROUND:
             return state, base
         if state.with_estimate(base.estimate).meets_target:
             return state, base
         after = self._with_residual(state)
-        best = self._best(after, base)
+        best = best_candidate(after, model, base)
         is_useful = best.estimate.error < _RESIDUAL_GAIN * base.estimate.error
         return (after, best) if is_useful or not self.residual_is_optional else (state, base)
 
     def _fit_residual(self, state: AdaptiveState) -> tuple[AdaptiveState, Candidate]:
         """Fit the residual of the model, unless the model meets the target."""
-        base = self._best_without_residual(state)
+        model = self._model(state)
+        base = best_without_residual(state, model)
         if not state.with_estimate(base.estimate).meets_target:
             state = self._with_residual(state)
-        return state, self._best(state, base)
+        return state, best_candidate(state, model, base)
 
     def _with_residual(self, state: AdaptiveState) -> AdaptiveState:
         """Fit the residual of the model to the pictures of all rounds."""
-        camera, pictures, model = _camera_cells(state), state.cell_pictures, self._model(state)
+        camera, pictures, model = camera_cells(state), state.cell_pictures, self._model(state)
         assert pictures is not None, "the floodlit picture comes first"
         base = model.transport(list(state.rows))
         projector = model.projector_cells(camera, base)
@@ -264,7 +267,7 @@ class AdaptiveMethod(Method[AdaptiveState]):
 
     def _start_hierarchy(self, state: AdaptiveState) -> AdaptiveState:
         """Hand the floodlit picture over to the hierarchy, and those of the model's rounds."""
-        pictures, shape = _floodlit(state), (1, *state.camera.shape, state.channels)
+        pictures, shape = floodlit_of(state), (1, *state.camera.shape, state.channels)
         radiance, variance = (
             np.ascontiguousarray(images[0].T).reshape(shape)
             for images in (pictures.radiance, pictures.variance)
@@ -298,21 +301,20 @@ class AdaptiveMethod(Method[AdaptiveState]):
         after = replace(
             state, rows=(*state.rows, row), hierarchy_state=inner, hierarchy_levels=levels
         )
-        after = after.with_cell_pictures(_camera_cells(after).read(images))
-        hierarchy = self._of_hierarchy(after)
-        base = min(self._of_model(after), hierarchy, key=_error)
-        best = self._best(after, base)
+        after = after.with_cell_pictures(camera_cells(after).read(images))
+        model = self._model(after)
+        hierarchy = hierarchy_candidate(after, model)
+        base = min(model_candidate(after, model), hierarchy, key=error_of)
+        best = best_candidate(after, model, base)
         is_of_rays = len(levels) >= len(inner.levels)
         if is_of_rays and best.estimate.error < hierarchy.estimate.error:
             refitted = self._with_residual(after)
-            candidate = self._best(refitted, base)
+            candidate = best_candidate(refitted, model, base)
             if candidate.estimate.error < best.estimate.error:
                 after, best = refitted, candidate
         after = after.with_estimate(best.estimate)
         decision = end(after) or after_hierarchy_round(after, hierarchy.estimate.error)
         return self._continue(after, decision)
-
-    # --- the best transport
 
     def _model(self, state: AdaptiveState) -> AdaptiveModel:
         """Return the model; before the floodlit picture is taken, the model of a dark one."""
@@ -321,44 +323,6 @@ class AdaptiveMethod(Method[AdaptiveState]):
         dark = np.zeros((1, state.channels, state.camera.size), np.float32)
         lit = np.ones((1, state.projector.size), np.bool_)
         return self.first_model(state, Pictures(lit, dark, dark))
-
-    def _best(self, state: AdaptiveState, base: Candidate | None = None) -> Candidate:
-        """Return the transport that predicts the held-out pictures best.
-
-        `base` is the best one without the residual, if it is known already.
-        """
-        base = self._best_without_residual(state) if base is None else base
-        if state.residual is None:
-            return base
-        residual = state.residual.transport(_camera_cells(state), state.projector.shape)
-        transport = self._model(state).transport(list(state.rows), [residual])
-        return min(base, self._candidate(state, transport), key=_error)
-
-    def _best_without_residual(self, state: AdaptiveState) -> Candidate:
-        """Return the better of the model and the hierarchy, each without a residual."""
-        model = self._of_model(state)
-        if state.hierarchy_state is None:
-            return model
-        return min(model, self._of_hierarchy(state), key=_error)
-
-    def _of_model(self, state: AdaptiveState) -> Candidate:
-        """Return the model's transport without a residual."""
-        return self._candidate(state, self._model(state).transport(list(state.rows)))
-
-    def _of_hierarchy(self, state: AdaptiveState) -> Candidate:
-        """Return the hierarchy's transport."""
-        assert state.hierarchy_state is not None
-        parts = HIERARCHY_METHOD.transport(state.hierarchy_state).parts
-        return self._candidate(state, SumTransport(parts, list(state.rows)))
-
-    def _candidate(self, state: AdaptiveState, transport: Transport) -> Candidate:
-        """Estimate the error of a transport; it is 1 before the held-out pictures are taken."""
-        if state.held_out is None:
-            return Candidate(Estimate(1.0, 1.0, 1.0), transport)
-        dark = self._model(state).dark_pixels(state.held_out.lit)
-        floodlit = _floodlit(state).floodlit
-        estimate = estimate_error(transport, state.held_out, floodlit, dark)
-        return Candidate(estimate, transport)
 
     # --- the next round
 
@@ -410,10 +374,6 @@ class AdaptiveMethod(Method[AdaptiveState]):
         return remaining_patterns(state)
 
 
-def _error(candidate: Candidate) -> float:
-    return candidate.estimate.error
-
-
 def _with_estimate_of(
     state: AdaptiveState, previous: AdaptiveState, best: Candidate
 ) -> AdaptiveState:
@@ -446,12 +406,3 @@ def _with_prepared(
 
     state = state.with_pictures(prepared())
     return state.with_cell_pictures(joined(in_cells, axis=0))
-
-
-def _floodlit(state: AdaptiveState) -> Pictures:
-    assert state.floodlit is not None, "the floodlit picture comes first"
-    return state.floodlit
-
-
-def _camera_cells(state: AdaptiveState) -> CameraCells:
-    return CameraCells.of_pictures(state.camera.shape, _floodlit(state))
