@@ -32,6 +32,7 @@ from rfpipe.methods.multiplexed.method import (
     pattern_count,
     ray_pattern_count,
 )
+from rfpipe.methods.multiplexed.patterns import first_patterns, further_patterns
 from rfpipe.stages.evaluate import relative_rms
 from rfpipe.testing import MethodContract
 from rfpipe.testing.methods import MatrixImages, MethodRun
@@ -200,9 +201,10 @@ def test_a_run_of_several_levels_continues_from_stored_arrays() -> None:
 
 def test_rounds_end_once_the_pictures_of_a_round_are_predicted() -> None:
     levels = BlockLevels(RayDomain(SHAPE))
-    least = 1 + coarse_pattern_count(levels, 0.01) + sum(map(ray_pattern_count, range(3)))
+    coarse = coarse_pattern_count(levels, 0.01)
+    least, most = (1 + coarse + sum(map(ray_pattern_count, range(rounds))) for rounds in (2, 4))
     sparse = acquire_matrix(Multiplexed(), sparse_matrix(80, RAYS), (8, 10), SHAPE, tolerance=0.01)
-    assert sum(sparse.patterns) == least
+    assert least <= sum(sparse.patterns) <= most
     # 60 rays light each pixel: more rounds follow, fewer with a larger tolerance
     random = np.random.default_rng(0)
     many = np.zeros((6, RAYS))
@@ -213,7 +215,7 @@ def test_rounds_end_once_the_pictures_of_a_round_are_predicted() -> None:
         for tolerance in (0.3, 0.01)
     ]
     assert counts[0] < counts[1]
-    assert counts[1] > least
+    assert counts[1] > most
 
 
 def test_coarser_levels_have_more_patterns_for_a_smaller_tolerance() -> None:
@@ -238,10 +240,38 @@ def test_the_forecast_has_three_rounds_of_single_rays() -> None:
     method, rays = Multiplexed(), RayDomain(SHAPE)
     forecast = method.forecast(rays, rays, 1, options_of(method))
     run = acquire_matrix(method, sparse_matrix(80, RAYS), (8, 10), SHAPE, tolerance=0.01)
-    assert forecast.patterns == sum(run.patterns)
+    assert forecast.patterns == pytest.approx(sum(run.patterns), rel=0.25)
     assert forecast.max_patterns == 3 * RAYS // 2
     few = RayDomain((2, 3))
     assert method.forecast(few, few, 1, options_of(method)).patterns == 9
+
+
+# --- patterns
+
+
+@pytest.mark.parametrize(("count", "share"), [(4, 0.5), (8, 0.5), (16, 0.25), (24, 1 / 6)])
+def test_a_block_is_lit_by_about_four_patterns_of_a_levels_first_round(
+    count: int, share: float
+) -> None:
+    levels = BlockLevels(RayDomain((64, 64)))
+    last = len(levels) - 1
+    lit = first_patterns(levels, last, 3, count)
+    assert lit.shape == (count, 64 * 64)
+    assert lit.mean() == pytest.approx(share, rel=0.05)
+    assert not np.array_equal(lit, first_patterns(levels, last, 4, count))
+
+
+def test_further_patterns_light_a_quarter_of_the_rays_in_turn_within_larger_blocks() -> None:
+    levels = BlockLevels(RayDomain((64, 64)))
+    last = len(levels) - 1
+    lit = further_patterns(levels, last, 7, 400)
+    assert lit.mean() == pytest.approx(0.25, abs=0.01)
+    for coarser in range(last):
+        block = levels.tree.block_of_position(levels.levels[coarser])
+        dark = [np.mean(np.bincount(block, row) == 0) for row in lit]
+        assert np.mean(dark[::2]) < 0.02
+        in_turn = dark[1 + 2 * (last - 1 - coarser) :: 2 * last]
+        assert np.mean(in_turn) == pytest.approx(0.5, abs=0.05)
 
 
 # --- blocks

@@ -3,9 +3,8 @@
 Like dual photography [thesis ch. 3] it goes down the projector's block tree, and subdivides for
 each camera pixel the blocks that send it light. Dual photography lights two blocks in one pattern
 only if no camera pixel receives light from both, so that one pixel with many bright blocks costs
-many patterns. Here each pattern lights a random half of all blocks of a level, and regression
-finds the light of each block (`rfpipe.methods.multiplexed.fit`), from the pictures of all levels
-together. The number of patterns then depends on the number of blocks that light a typical pixel.
+many patterns. Here each pattern lights random blocks of a level, and regression finds the light of
+each block (`rfpipe.methods.multiplexed.fit`), from the pictures of all levels together. The number of patterns then depends on the number of blocks that light a typical pixel.
 
 On the level of single rays, rounds of patterns follow until the fit to all earlier pictures
 predicts the pictures of a round.
@@ -21,7 +20,6 @@ from typing import Any, Self
 import numpy as np
 from pydantic import Field
 
-from rfpipe.array_types import Bools
 from rfpipe.blocks import RayDomain
 from rfpipe.config.base import Fraction
 from rfpipe.methods.base import (
@@ -35,15 +33,13 @@ from rfpipe.methods.base import (
 from rfpipe.methods.images import Pictures
 from rfpipe.methods.multiplexed.blocks import BlockLevels, PixelBlocks, block_levels
 from rfpipe.methods.multiplexed.fit import fit_blocks
+from rfpipe.methods.multiplexed.patterns import first_patterns, further_patterns
 from rfpipe.methods.states import MethodState, joined, level_row, with_prefix, without_prefix
 from rfpipe.patterns import Schedule
-from rfpipe.provenance import generator
 from rfpipe.transport.multilevel import MultilevelTransport
 from rfpipe.transport.responses import by_level
 from rfpipe.transport.sum import SumTransport
 
-# Seed of the random patterns.
-_SEED = 2005
 # Patterns of the first two levels, of each further one, and of the first two rounds of single rays.
 # Each later round has a third as many patterns as all rounds of single rays before it. With half as
 # many patterns of the coarser levels, fits go astray (12 % in place of 1.7 % on `glass_and_ring`).
@@ -54,7 +50,7 @@ _COARSE_TOLERANCE = 0.004
 # A block is subdivided for a pixel if its light exceeds this share of the floodlit pixel, later one
 # over the number of patterns; where the pixel is darker than this fraction of the mean pixel, of
 # that.
-_SUBDIVIDED, _DARK = 0.01, 0.05
+_SUBDIVIDED, _DARK = 0.005, 0.05
 
 
 class MultiplexedOptions(Options):
@@ -140,7 +136,7 @@ class Multiplexed(Method[MultiplexedState]):
         return MultiplexedState(camera, projector, channels, options, levels=levels)
 
     def next_schedule(self, state: MultiplexedState) -> Schedule | None:
-        """Light a random half of the blocks of a level in each pattern."""
+        """Light random blocks of a level, or of single rays once all levels had their round."""
         shape = state.projector.shape
         if state.level == 0:
             return Schedule.floodlit(shape)
@@ -148,7 +144,9 @@ class Multiplexed(Method[MultiplexedState]):
             return None
         index = state.index
         count = pattern_count(state.level - 1, len(state.levels), state.options.tolerance)
-        lit = _halves(count, state.levels.tree.n_blocks(state.levels.levels[index]), state.level)
+        is_first = state.level <= len(state.levels)
+        patterns = first_patterns if is_first else further_patterns
+        lit = patterns(state.levels, index, state.level, count)
         return Schedule(state.level, shape, count, weights=state.levels.patterns(index, lit))
 
     def refine(
@@ -242,8 +240,3 @@ def ray_pattern_count(number: int) -> int:
     if number < 2:
         return _RAYS
     return sum(ray_pattern_count(earlier) for earlier in range(number)) // 3
-
-
-def _halves(count: int, blocks: int, key: int) -> Bools:
-    """Draw random halves of some blocks, (count, blocks)."""
-    return generator(_SEED, key).random((count, blocks)) < 0.5

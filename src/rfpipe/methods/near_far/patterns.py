@@ -14,11 +14,16 @@ from rfpipe.methods.residual.patterns import PATTERN_SEED
 from rfpipe.provenance import generator
 from rfpipe.relighting import brightest, octave_noise
 
+# Share of the rays that a pattern lights. On eight open scenes, errors after 39 patterns are 5 %
+# larger with 0.5, 2 % with 0.3, 14 % with 0.2: more pixels are dark, which show indirect light
+# alone, but each is darker.
+_LIT = 0.4
+
 
 def probe_patterns(
     shape: tuple[int, ...], key: int, count: int, light_range: LightRange | None = None
 ) -> NDArray[np.bool_]:
-    """Draw patterns of octave noise that light half of the rays.
+    """Draw patterns of octave noise that light two fifths of the rays.
 
     Where the range of indirect light is known, bands of about equal range are lit together, and
     every fourth pattern is a strip along a crease, on one side of it, of 1 to 30 % of the rays or
@@ -43,7 +48,7 @@ def probe_patterns(
         random = generator(PATTERN_SEED, key, index)
         field = octave_noise(shape, random)
         if light_range is None:
-            patterns[index] = field > np.median(field)
+            patterns[index] = brightest(field, _LIT)
             continue
         # a band and its dark neighbour together cover two to ten octaves of range
         octaves = 1 / random.uniform(1 / 10.0, 1 / 2.0)
@@ -54,7 +59,7 @@ def probe_patterns(
         )
         bands = np.log2(light_range.distance) / octaves + phase + side / 2
         field += 1.5 * np.cos(2 * np.pi * bands)
-        patterns[index] = field > np.median(field)
+        patterns[index] = brightest(field, _LIT)
         if index % 4 == 0:
             area = np.exp(random.uniform(np.log(0.01), np.log(0.3)))
             patterns[index] = brightest(light_range.indirect_per_pixel, area) & side
