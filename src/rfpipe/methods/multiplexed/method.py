@@ -4,7 +4,8 @@ Like dual photography [thesis ch. 3] it goes down the projector's block tree, an
 each camera pixel the blocks that send it light. Dual photography lights two blocks in one pattern
 only if no camera pixel receives light from both, so that one pixel with many bright blocks costs
 many patterns. Here each pattern lights random blocks of a level, and regression finds the light of
-each block (`rfpipe.methods.multiplexed.fit`), from the pictures of all levels together. The number of patterns then depends on the number of blocks that light a typical pixel.
+each block (`rfpipe.methods.multiplexed.fit`), from the pictures of all levels together. The number
+of patterns then depends on the number of blocks that light a typical pixel.
 
 On the level of single rays, rounds of patterns follow until the fit to all earlier pictures
 predicts the pictures of a round.

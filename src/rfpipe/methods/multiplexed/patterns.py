@@ -6,8 +6,6 @@ the fewer pictures there are of each block.
 
 from __future__ import annotations
 
-import numpy as np
-
 from rfpipe.array_types import Bools
 from rfpipe.methods.multiplexed.blocks import BlockLevels
 from rfpipe.provenance import generator
