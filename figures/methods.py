@@ -15,6 +15,8 @@ from rfpipe.blocks import BlockTree, RayDomain
 from rfpipe.config import SceneSettings
 from rfpipe.methods.hadamard import s_matrix_order, s_matrix_row
 from rfpipe.methods.multiplexed.blocks import BlockLevels
+from rfpipe.methods.multiplexed.method import MultiplexedOptions, pattern_count
+from rfpipe.methods.multiplexed.patterns import first_patterns, further_patterns
 from rfpipe.pictures.images import srgb
 from rfpipe.rigs import SimulatedRig
 from rfpipe.scenes import scene_from_config
@@ -51,12 +53,17 @@ def dual() -> Figure:
 
 
 def multiplexed() -> Figure:
-    """Draw a pattern of each level of multiplexed dual photography."""
-    levels, random = BlockLevels(RayDomain((48, 48))), np.random.default_rng(0)
-    lit = [random.random((1, levels.tree.n_blocks(level))) < 0.5 for level in levels.levels]
-    images = [levels.patterns(index, blocks)[0] for index, blocks in enumerate(lit)]
-    counts = [levels.tree.n_blocks(level) for level in levels.levels]
-    return _drawn([images], [f"{count:,} blocks" for count in counts])
+    """Draw a pattern of each level of multiplexed dual photography, and of a further round."""
+    levels, last = BlockLevels(RayDomain((48, 48))), -1
+    captions, images = [], []
+    for index, level in enumerate(levels.levels):
+        count = pattern_count(index, len(levels), MultiplexedOptions().tolerance)
+        lit = first_patterns(levels, index, 1 + index, count)
+        images.append(levels.patterns(index, lit)[last])
+        captions.append(f"{levels.tree.n_blocks(level):,} blocks")
+    lit = further_patterns(levels, len(levels) - 1, 1 + len(levels), 6)
+    images.append(levels.patterns(len(levels) - 1, lit)[last])
+    return _drawn([images], [*captions, "a further round"])
 
 
 def symmetric() -> Figure:
