@@ -185,7 +185,7 @@ def after_hierarchy_rounds(counts: Sequence[int], errors: Sequence[float]) -> Ad
     return replace(state, hierarchy_state=hierarchy_start(state), hierarchy_levels=levels)
 
 
-def test_a_hierarchy_ends_where_single_rays_would_take_more_patterns_than_brute_force() -> None:
+def test_the_residual_follows_a_hierarchy_that_would_take_more_patterns_than_brute_force() -> None:
     """Errors above the level of single rays, and of fewer than five rounds there, show no trend."""
     counts, coarse = (8, 8, 12, 16, 16, 10, 14, 18), (0.9, 0.8, 0.7)
     for errors, phase in (
@@ -193,7 +193,7 @@ def test_a_hierarchy_ends_where_single_rays_would_take_more_patterns_than_brute_
         ((*coarse, 0.5, 0.4), Phase.HIERARCHY),
         ((*coarse, 0.1, 0.099, 0.098), Phase.HIERARCHY),
         ((*coarse, 0.3, 0.2, 0.1, 0.05, 0.02), Phase.HIERARCHY),
-        ((*coarse, 0.1, 0.0998, 0.0996, 0.0993, 0.099), None),
+        ((*coarse, 0.1, 0.0998, 0.0996, 0.0993, 0.099), Phase.DENSE),
     ):
         state = after_hierarchy_rounds(counts[: len(errors)], errors)
         assert after_hierarchy_round(state, errors[-1]).phase is phase

@@ -38,6 +38,7 @@ MOSTLY_NOISE = 1.5
 """An error of at most this many times the noise of the floodlit image is mostly that noise."""
 
 NOT_SUITABLE = "the model doesn't fit the light"
+NOT_SPARSE = "the light isn't sparse"
 ALL_SHOWN = "all rounds are shown"
 BRUTE_FORCE = "more rounds would take more patterns than brute force"
 CLOSE = "the error is close to the target"
@@ -125,13 +126,14 @@ def after_hierarchy_round(state: AdaptiveState, hierarchy_error: float) -> Decis
     """Decide after a round of the hierarchy, whose own transport has an estimated error.
 
     Where light is sparse, the first round of single rays leaves less error than the model with its
-    residual does: on `glass_and_ring` and `bottle` a seventh and a fifth.
+    residual does, on `glass_and_ring` and `bottle` a seventh and a fifth, and further rounds reduce
+    it. Otherwise rounds for the residual follow, which use all pictures.
     """
     inner = state.hierarchy_state
     assert inner is not None
     is_first_of_rays = len(state.hierarchy_levels) == len(inner.levels)
     if is_first_of_rays and hierarchy_error > state.errors[-1]:
-        return Decision(Phase.DENSE, "the light isn't sparse")
+        return Decision(Phase.DENSE, NOT_SPARSE)
     if inner.is_complete:
         return Decision(None, ALL_SHOWN)
     rays, target = state.projector.size, state.options.total_target
@@ -140,5 +142,5 @@ def after_hierarchy_round(state: AdaptiveState, hierarchy_error: float) -> Decis
     has_trend = len(state.hierarchy_levels) >= len(inner.levels) + 4
     is_slow = has_trend and patterns_to_target(state) > rays
     if is_slow and rays > most_hierarchy_patterns(state.projector, target):
-        return Decision(None, BRUTE_FORCE)
+        return Decision(Phase.DENSE, NOT_SPARSE)
     return Decision(Phase.HIERARCHY)

@@ -33,7 +33,7 @@ from rfpipe.methods.adaptive.state import HIERARCHY_TOLERANCE, AdaptiveState, Ph
 from rfpipe.methods.base import ErrorOptions
 from rfpipe.methods.held_out import HELD_OUT
 from rfpipe.methods.multiplexed.blocks import block_levels
-from rfpipe.methods.multiplexed.method import coarse_pattern_count, ray_pattern_count
+from rfpipe.methods.multiplexed.method import coarse_pattern_count
 
 
 class PatternLaw(NamedTuple):
@@ -111,10 +111,7 @@ def most_patterns(
         doesn't suit the light.
     options : ErrorOptions
     """
-    target = options.total_target
-    unsuited = coarse_pattern_count(block_levels(projector), HIERARCHY_TOLERANCE * target)
-    unsuited += ray_pattern_count(0) + dense_patterns
-    hierarchy = max(most_hierarchy_patterns(projector, target), unsuited)
+    hierarchy = most_hierarchy_patterns(projector, options.total_target) + dense_patterns
     total = 1 + len(HELD_OUT) + random_patterns + hierarchy
     return min(total, options.patterns or total)
 
