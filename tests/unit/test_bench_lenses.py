@@ -168,11 +168,10 @@ def test_without_aperture_a_bench_has_pinholes() -> None:
     assert pinholes.radiance(light).tobytes() == shut.radiance(light).tobytes()
 
 
-@pytest.mark.parametrize("scene", [{"kind": "wedge"}, {"kind": "room", "views": (1, 2)}])
 @pytest.mark.parametrize("side", ["projector_lens", "camera_lens"])
-def test_a_lens_blurs_every_view(scene: dict[str, Any], side: str) -> None:
+def test_a_lens_blurs_every_view(side: str) -> None:
     sharp, blurred = (
-        optical_path(bench_of({**scene, **SHAPES}, **{side: lens}))
+        optical_path(bench_of({"kind": "room", "views": (1, 2), **SHAPES}, **{side: lens}))
         for lens in (None, {"aperture": 1.0, "focus": 6.0})
     )
     columns = sharp.layout.picture(np.arange(sharp.layout.pixels_of_ray.size) % 2)
