@@ -59,6 +59,7 @@ MODELS = (
     "rfpipe.lights.shading",
     "rfpipe.lights.interpolation",
     "rfpipe.scenes.radiosity",
+    "rfpipe.scenes.lenses",
     "rfpipe.scenes.noncoaxial",
 )
 """Modules whose docstrings have the equations of a model."""

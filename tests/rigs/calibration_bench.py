@@ -12,7 +12,8 @@ from rfpipe.config import SceneSettings
 from rfpipe.devices.bench import OpticalPath
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.layout import Quadrilateral, centred_corners, tilted_corners
-from rfpipe.scenes import scene_from_config
+from rfpipe.scenes import RadiosityScene, scene_from_config
+from rfpipe.scenes.lenses import Lens, LensView
 
 CAMERA = CameraModel()
 
@@ -67,11 +68,14 @@ def wedge_bench(
     gamma: float = 1.0,
     seed: int = 0,
     channels: int = 1,
+    lens: Lens | None = None,
 ) -> Bench:
-    """Return a bench with two planes that light each other."""
+    """Return a bench with two planes that light each other; `lens`: of both devices."""
     config = SceneSettings.of("wedge", surfaces=("white", "texture"), shape=rays, channels=channels)
     scene = scene_from_config(config)
     direct = scene_from_config(config.model_copy(update={"bounces": 1}))
+    assert isinstance(scene, RadiosityScene)
+    views = () if lens is None else (LensView(lens, scene.pinholes[0], scene.points.surfaces),)
     path = OpticalPath(
         scene,
         rays,
@@ -80,6 +84,8 @@ def wedge_bench(
         centred_corners(rays, display),
         tilted_corners(rays, camera),
         np.asarray(direct.apply(np.ones((1, rays[0] * rays[1]), np.float32)))[0],
+        projector_lenses=views,
+        camera_lenses=views,
     )
     return bench_of(path, sensor, gamma, seed)
 

@@ -25,6 +25,7 @@ from rfpipe.errors import CaptureError
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.build import DeviceRig
 from rfpipe.rigs.layout import DARK, ProjectorLayout, apply_homography, pixel_middles
+from rfpipe.scenes.lenses import Lens
 from rfpipe.scenes.relighting import relighting_patterns
 
 HOMOGRAPHY = np.array([[4.1, 0.12, 3.0], [-0.2, 3.9, 5.0], [2e-4, -1e-4, 1.0]])
@@ -70,6 +71,17 @@ def test_the_correspondence_is_found_within_a_tenth_of_a_pixel(changes: dict) ->
     # a pixel whose middle is outside may still see the edge
     assert findings["valid"][outside].sum() < 0.1 * outside.sum()
     assert findings["valid"][~outside].mean() > 0.97
+
+
+def test_the_correspondence_is_found_out_of_focus() -> None:
+    # circles of 4 camera pixels at the left and right edge, more than a ray; the middle is sharp
+    bench = wedge_bench(camera=(56, 63), lens=Lens(aperture=0.48, focus=3.0))
+    findings = correspondence_of(bench)
+    single, smooth = errors_of(bench, findings)
+    assert single < 0.5
+    assert smooth < 0.05
+    assert findings.verdict.standing == "good"
+    assert 0.4 < fit_blur(findings, [map_of(findings)]) < 1.0
 
 
 def test_the_verdict_names_darkness_and_noise() -> None:

@@ -89,6 +89,8 @@ CHANGES: list[tuple[str, Any, tuple[str, ...]]] = [
     ("bench.camera_corners", WIDE, EVERY),
     ("bench.camera_shape", [90, 90], EVERY),
     ("bench.camera", {"bits": 12, "read_noise_electrons": 9}, EVERY),
+    ("bench.projector_lens", {"aperture": 0.1}, EVERY),
+    ("bench.camera_lens", {"aperture": 0.1}, EVERY),
     ("bench.projector_gamma", 1.8, EVERY),
     ("bench.projector_black", 0.1, EVERY),
     ("bench.display_delay_seconds", 0.2, EVERY),

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from rfpipe.config.capture import StorageConfig as StorageConfig
     from rfpipe.config.devices import BenchConfig as BenchConfig
     from rfpipe.config.devices import CalibrationConfig as CalibrationConfig
+    from rfpipe.config.devices import LensConfig as LensConfig
     from rfpipe.config.devices import RigConfig as RigConfig
     from rfpipe.config.files import load_camera as load_camera
     from rfpipe.config.files import load_config as load_config
@@ -27,7 +28,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "camera": ["CameraConfig"],
     "capture": ["OfflineConfig", "StorageConfig"],
-    "devices": ["BenchConfig", "CalibrationConfig", "RigConfig"],
+    "devices": ["BenchConfig", "CalibrationConfig", "LensConfig", "RigConfig"],
     "files": [
         "load_camera", "load_config", "load_rig_config", "parse_config", "parse_rig_config",
     ],

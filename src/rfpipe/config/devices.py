@@ -77,6 +77,20 @@ def _check_corners(name: str, corners: Corners, views: int) -> None:
         )
 
 
+class LensConfig(Settings):
+    """A thin lens of the optical bench."""
+
+    aperture: float = Field(
+        0.0, ge=0, description="Diameter of the lens in scene units; 0: a pinhole, all in focus."
+    )
+    focus: float = Field(
+        3.0,
+        gt=0,
+        description="Distance in focus along the optical axis, in scene units; scenes are at about "
+        "3.",
+    )
+
+
 class BenchConfig(Settings):
     """The optical bench in software: a simulated scene between projector window and camera.
 
@@ -104,6 +118,14 @@ class BenchConfig(Settings):
         None,
         description="True parameters of the camera, which a calibration should measure; null: "
         "those of the sensor.",
+    )
+    projector_lens: LensConfig | None = Field(
+        None,
+        description="Lens of the projector, such as {aperture: 0.05, focus: 2.5}, which blurs its "
+        "light by the depth of the surface; null: a pinhole.",
+    )
+    camera_lens: LensConfig | None = Field(
+        None, description="Lens of the camera, likewise; null: a pinhole."
     )
     projector_gamma: Gamma = Field(2.2, description="Exponent g of the projector, light ~ code^g.")
     projector_black: Share = Field(

@@ -1,27 +1,20 @@
 """Positions and lenses of the cameras and projectors of a physically based scene.
 
-A thin lens of diameter A in focus at depth d images a point at depth z as a disc. On the image
-plane at distance 1, which is in radians near the axis, its diameter is ``A |1/z - 1/d|``.
+`rfpipe.scenes.lenses` has the equation of a lens.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import asdict, dataclass
-from typing import Any, NamedTuple, Self
+from typing import Any, Self
 
 from pydantic import Field, model_validator
 
 from rfpipe.config.base import Settings
 from rfpipe.errors import InputError
+from rfpipe.scenes.lenses import Lens
 from rfpipe.scenes.pinholes import Pinhole
-
-
-class Lens(NamedTuple):
-    """A thin lens: diameter of its aperture, and depth in focus, in scene units."""
-
-    aperture: float
-    focus: float
 
 
 class View(Settings):

@@ -134,6 +134,7 @@ def panels_scene(
         rays=Rays(domain, domain, visibility[:, texels]),
         patches=grid.patches(texels, _PATCH),
         name=name,
+        pinholes=pinholes,
         about={
             "views": [asdict(pinhole) for pinhole in pinholes],
             "panels": [asdict(panel) for panel in panels],

@@ -25,7 +25,7 @@ from rfpipe.errors import InputError
 from rfpipe.provenance import fingerprint
 from rfpipe.scenes.base import Scene, apply_in_batches
 from rfpipe.scenes.formfactors import facing_pairs
-from rfpipe.scenes.pinholes import Points
+from rfpipe.scenes.pinholes import Pinhole, Points
 from rfpipe.scenes.surfaces import Occluder
 
 if TYPE_CHECKING:
@@ -123,6 +123,8 @@ class RadiosityScene(Scene):
         Name in the description.
     about
         Further properties for the description, as plain data.
+    pinholes
+        Pinholes of the camera's views, if known.
 
     Raises
     ------
@@ -142,6 +144,7 @@ class RadiosityScene(Scene):
         patches: tuple[Points, NDArray[np.int64]] | None = None,
         name: str = "radiosity",
         about: Mapping[str, Any] | None = None,
+        pinholes: Sequence[Pinhole] = (),
     ) -> None:
         values = np.array(albedo, dtype=np.float64)
         camera = values.shape[:-1] if rays is None else rays.camera_shape
@@ -152,6 +155,7 @@ class RadiosityScene(Scene):
         self.points, self.bounces, self.occluders = points, bounces, tuple(occluders)
         self.scale = points.mean_area if scale is None else scale
         self.rays, self._patches = rays, patches
+        self.pinholes = tuple(pinholes)
         self.name, self._about = name, dict(about or {})
 
     @property

@@ -97,7 +97,12 @@ def planes_scene(
     if geometry not in ("plane", "wedge"):  # the scenes of the thesis are not dimmed
         scale *= min(1.0, _CONTRAST * float(points.areas.min()) / points.mean_area)
     return RadiosityScene(
-        points, albedo.reshape(*shape, channels), scale=scale, name=name, **options
+        points,
+        albedo.reshape(*shape, channels),
+        scale=scale,
+        name=name,
+        pinholes=(camera,),
+        **options,
     )
 
 
