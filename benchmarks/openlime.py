@@ -4,7 +4,7 @@
 tiles, and opens both folders in Chromium. DIST is the folder ``dist`` of the npm package
 ``openlime``. Screenshots and the table are written into ``results/bench``: differences of the
 page from the decoder of `benchmarks.photographs.relightable` and from `light_from`, percent of the
-norm in sRGB.
+norm in sRGB. ``--figure FILE.png`` shows the page beside photographs of the dome.
 """
 
 from __future__ import annotations
@@ -43,8 +43,12 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser = argparse.ArgumentParser(prog="python -m benchmarks.openlime", description=__doc__)
     parser.add_argument("dist", type=harness.existing, help="folder dist of the npm package")
     parser.add_argument("transport", type=harness.existing, help="of a dome, at most 2,048 pixels")
+    parser.add_argument("--figure", type=Path, help="PNG file of the page beside photographs")
     options = parser.parse_args(arguments)
-    harness.write("openlime", _rows(options.dist.absolute(), options.transport))
+    dist = options.dist.absolute()
+    harness.write("openlime", _rows(dist, options.transport))
+    if options.figure:
+        _write_figure(dist, options.transport, options.figure)
 
 
 def _rows(dist: Path, path: Path) -> Iterator[dict[str, Any]]:
@@ -55,7 +59,8 @@ def _rows(dist: Path, path: Path) -> Iterator[dict[str, Any]]:
             with patch.object(relightable_images, "LARGEST_PICTURE", largest):
                 white = write_relightable_image(transport, folder).white
             (folder / "openlime").symlink_to(dist)
-            for (x, y), shown in zip(_LIGHTS, _shown(folder, transport.camera_shape), strict=True):
+            screenshots = _screenshots(folder, transport.camera_shape, _LIGHTS)
+            for (x, y), shown in zip(_LIGHTS, screenshots, strict=True):
                 direction = np.array([x, y, np.sqrt(1 - x * x - y * y)])
                 truth = srgb(transport.light_from(direction), white)
                 decoded = decode_folder(folder, direction)
@@ -72,8 +77,43 @@ def _relative(shown: Double, truth: Double) -> float:
     return float(np.linalg.norm(shown - truth) / max(np.linalg.norm(truth), 1e-9))
 
 
-def _shown(folder: Path, shape: tuple[int, ...]) -> Iterator[Double]:
-    """Yield screenshots (H, W, 3) of the folder's page under `_LIGHTS`, a pixel for each ray."""
+def _write_figure(dist: Path, path: Path, file: Path) -> None:
+    """Show the page, with its buttons, beside the photographs under two lights of the dome."""
+    from matplotlib import pyplot
+
+    transport = rfpipe.open_transport(path)
+    directions = np.asarray(transport.lights)
+    chosen = [int((directions @ light).argmax()) for light in ((-0.6, 0.3, 0.7), (0.7, 0.5, 0.5))]
+    with TemporaryDirectory() as temporary:
+        folder = Path(temporary, "figure")
+        white = write_relightable_image(transport, folder).white
+        (folder / "openlime").symlink_to(dist)
+        lights = [tuple(directions[index, :2]) for index in chosen]
+        pages = list(_screenshots(folder, transport.camera_shape, lights, has_buttons=True))
+    figure, axes = pyplot.subplots(1, 4, figsize=(12, 3.3), layout="constrained")
+    for index, page, pair in zip(chosen, pages, axes.reshape(2, 2), strict=True):
+        pattern = np.zeros(transport.projector_shape)
+        pattern.flat[index] = 1
+        photograph = srgb(transport.relight(pattern), white)
+        for axis, name, picture in zip(
+            pair,
+            (f"photograph {index + 1}", "OpenLIME, the same light"),
+            (photograph, page),
+            strict=True,
+        ):
+            axis.imshow(np.clip(picture, 0, 1))
+            axis.set(title=name, xticks=[], yticks=[])
+    figure.savefig(file, dpi=72)
+
+
+def _screenshots(
+    folder: Path,
+    shape: tuple[int, ...],
+    lights: Sequence[tuple[float, float]],
+    *,
+    has_buttons: bool = False,
+) -> Iterator[Double]:
+    """Yield screenshots (H, W, 3) of the folder's page under lights, a pixel for each ray."""
     from playwright.sync_api import sync_playwright
 
     harness.FOLDER.mkdir(parents=True, exist_ok=True)
@@ -87,9 +127,10 @@ def _shown(folder: Path, shape: tuple[int, ...]) -> Iterator[Double]:
         page.goto(f"http://127.0.0.1:{server.server_port}/index.html")
         page.wait_for_function("layer.status === 'ready'")
         page.wait_for_timeout(3000)
-        page.add_style_tag(content=".openlime > :not(canvas) { display: none !important; }")
+        if not has_buttons:
+            page.add_style_tag(content=".openlime > :not(canvas) { display: none !important; }")
         page.evaluate("viewer.camera.fit(layer.boundingBox(), 0)")
-        for index, light in enumerate(_LIGHTS):
+        for index, light in enumerate(lights):
             page.evaluate(f"layer.setLight([{light[0]}, {light[1]}], 0)")
             page.wait_for_timeout(1500)
             file = harness.FOLDER / f"openlime_{folder.name}_{index}.png"

@@ -16,16 +16,22 @@ BALL = Ball(60.3, 81.7, 40.0)
 SHAPE = (130, 160)
 
 
-def chrome(lights: np.ndarray, power: float = 3.0, half_angle: float = 4.0) -> np.ndarray:
+def chrome(
+    lights: np.ndarray,
+    power: float = 3.0,
+    half_angle: float = 4.0,
+    ball: Ball = BALL,
+    shape: tuple[int, int] = SHAPE,
+) -> np.ndarray:
     """Return a picture, 0 to 1, of a ball that reflects lamps (L, 3) and a dim room."""
     side = 4  # samples along a side of a pixel
-    rows, columns = ((np.arange(side * n) + 0.5) / side - 0.5 for n in SHAPE)
-    x, y = np.meshgrid((columns - BALL.column) / BALL.radius, (BALL.row - rows) / BALL.radius)
+    rows, columns = ((np.arange(side * n) + 0.5) / side - 0.5 for n in shape)
+    x, y = np.meshgrid((columns - ball.column) / ball.radius, (ball.row - rows) / ball.radius)
     z = np.sqrt(np.maximum(1 - x**2 - y**2, 0))
     reflected = np.stack([2 * z * x, 2 * z * y, 2 * z**2 - 1], axis=-1)
     lamps = (reflected @ lights.T > np.cos(np.radians(half_angle))).sum(axis=-1)
     radiance = np.where(x**2 + y**2 < 1, 0.1 + 0.05 * reflected[..., 1] + power * lamps, 0.3)
-    return np.minimum(radiance, 1).reshape(SHAPE[0], side, SHAPE[1], side).mean(axis=(1, 3))
+    return np.minimum(radiance, 1).reshape(shape[0], side, shape[1], side).mean(axis=(1, 3))
 
 
 def degrees(first: np.ndarray, second: np.ndarray) -> np.ndarray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 import shlex
-import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Mapping
@@ -12,91 +11,15 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-import OpenImageIO as oiio
 import pytest
-from tests.results.transports import transport_of
+from tests.results import how_to_folders as prepared
 from typer.testing import CliRunner
 
 import rfpipe
 from rfpipe.cli import app
-from rfpipe.fitting.codes import code_patterns
-from rfpipe.scenes import Pinhole, planes_scene
 
 ROOT = Path(__file__).parents[2]
-
-
-def photographs(folder: Path) -> None:
-    """Write photographs of Gray code and of a ball under 12 lights, and an even panorama."""
-    camera, lamp = Pinhole((40, 40)), Pinhole((100, 100), (1.72, 0, 0.54), (0, 0, 3))
-    scene = planes_scene("wedge_120", ("white", "white"), camera.shape, projector=lamp, channels=1)
-    light = np.r_[np.full(28, 0.5), 1, 0]
-    patterns = [read() for read in code_patterns("gray:100x100", len(light), light).readers]
-    pictures = scene.apply(np.reshape(patterns, (len(light), -1)).astype(np.float32))
-    write(folder / "table", 200 * pictures.reshape(-1, *camera.shape, 1) / pictures.max())
-
-    lights = directions(12)
-    x, y = np.meshgrid(np.linspace(-1, 1, 24), np.linspace(1, -1, 24))
-    normals = np.stack([x / 2, y / 2, np.sqrt(1 - (x**2 + y**2) / 4)], axis=-1)
-    shading = np.maximum(np.moveaxis(normals @ lights.T, -1, 0), 0)
-    write(folder / "cat", 200 * np.repeat(shading[..., None], 3, axis=-1))
-    np.savetxt(folder / "cat" / "lights.txt", lights, header="12", comments="")
-    assert oiio.ImageBuf(np.full((16, 32, 3), 0.5, np.float32)).write(str(folder / "sky.exr"))
-
-
-def directions(count: int) -> np.ndarray:
-    """Return the directions of lights all over the camera's half of the sphere, (count, 3)."""
-    angles = np.arange(count) * np.pi * (3 - 5**0.5)
-    heights = 1 - 0.9 * (np.arange(count) + 0.5) / count
-    rings = np.sqrt(1 - heights**2)
-    return np.stack([rings * np.cos(angles), rings * np.sin(angles), heights], axis=1)
-
-
-def write(folder: Path, pictures: np.ndarray) -> None:
-    """Write pictures with noise, (count, height, width, channels), as numbered PNG files."""
-    folder.mkdir()
-    noisy = pictures + 10 + np.random.default_rng(1).standard_normal(pictures.shape)
-    for index, picture in enumerate(np.clip(np.rint(noisy), 0, 255).astype(np.uint8)):
-        name = str(folder / f"{index + 1:02d}.png")
-        assert oiio.ImageBuf(np.ascontiguousarray(picture)).write(name)
-
-
-def a_transport(folder: Path) -> None:
-    """Write a transport, pictures of a dome, and a panorama."""
-    photographs(folder)
-    (folder / "cat").rename(folder / "FOLDER")
-    transport_of("symmetric").save(folder / "transport.zarr")
-    assert oiio.ImageBuf(str(folder / "sky.exr")).write(str(folder / "sky.hdr"))
-
-
-def names_of_uses() -> dict[str, Any]:
-    transport = transport_of("symmetric")
-    pattern = np.random.default_rng(1).random(transport.projector_shape)
-    picture = transport.relight(pattern)
-    return {
-        "transport": transport, "pattern": pattern, "picture": picture, "row": 10, "column": 12,
-        "panorama": np.ones((16, 32, 3)), "rfpipe": rfpipe,
-    }  # fmt: skip
-
-
-def light_field(folder: Path) -> None:
-    """Write the settings that the page on light fields begins with."""
-    page = (ROOT / "docs" / "light_fields.md").read_text("utf-8")
-    block = re.findall(r"^```yaml\n(.*?)^```", page, re.M | re.S)[0]
-    (folder / "field.yaml").write_text(block)
-
-
-def niche(folder: Path) -> None:
-    """Write a scene of one's own and its settings."""
-    shutil.copy(ROOT / "tests" / "examples" / "niche.py", folder)
-    scene = '{kind: "niche.py:Niche", shape: [16, 18], brick: 0.25}'
-    (folder / "niche.yaml").write_text(f"scenes: {{niche: {scene}}}\nmethods: {{near_far: {{}}}}\n")
-
-
-def settings(folder: Path) -> None:
-    """Write the settings of a run of one's own."""
-    (folder / "config").mkdir()
-    (folder / "config" / "mine.yaml").write_text("scenes: {vase: {kind: plane, shape: [16, 18]}}\n")
+DOCS = ROOT / "docs"
 
 
 @dataclass(frozen=True)
@@ -120,6 +43,9 @@ class HowTo:
 
 
 PAGES = {
+    "calibration": HowTo(
+        elsewhere={"make calibrate": "workflow/test_calibrate", "rfpipe aim": "server/test_aim"}
+    ),
     "clusters": HowTo(
         elsewhere={
             "--profile": "workflow/test_slurm",
@@ -127,25 +53,73 @@ PAGES = {
             "groups:": "settings of a cluster's profile",
         }
     ),
-    "light_fields": HowTo(light_field),
-    "night": HowTo(settings, elsewhere={"--retake": "unit/test_retake"}),
-    "photographs": HowTo(photographs, lambda: {"row": 20, "column": 20}),
+    "collections": HowTo(
+        prepared.positions,
+        prepared.names_of_collections,
+        {
+            "collection: collection.csv": "settings, read by unit/test_collection_file",
+            "rfpipe plan": "workflow/test_collection",
+            "did you mean": "a message, of unit/test_collection_file",
+            "placing:": "unit/test_placing",
+            "rfpipe catalogue": "unit/test_catalogue",
+        },
+    ),
+    "devices": HowTo(
+        elsewhere={
+            "CameraContract": "device/test_own_devices",
+            "pytest": "device/test_own_devices",
+            "faults": "unit/test_testing_faults",
+        }
+    ),
+    "errors": HowTo(prepared.relit_run),
+    "export": HowTo(prepared.exportable, prepared.names_of_export),
+    "install": HowTo(
+        elsewhere=dict.fromkeys(("pip install", "uvx"), "release/test_installed"),
+    ),
+    "light_fields": HowTo(prepared.light_field),
+    "methods/your_own": HowTo(elsewhere={"MethodContract": "workflow/test_own_method"}),
+    "museums": HowTo(prepared.coin, elsewhere={"npm": "needs the registry of npm"}),
+    "night": HowTo(prepared.settings, elsewhere={"--retake": "unit/test_retake"}),
+    "parallel": HowTo(elsewhere={"distributed:": "settings of dask"}),
+    "photographs": HowTo(prepared.photographs, lambda: {"row": 20, "column": 20}),
+    "pictures": HowTo(
+        prepared.matrix_and_pictures,
+        lambda: {"rfpipe": rfpipe},
+        {"rfpipe import": "workflow/test_offline"},
+    ),
+    "publish": HowTo(
+        prepared.publishable,
+        elsewhere={"--directory again": "workflow/test_publish", "s3:": "unit/test_remote"},
+    ),
     "rig": HowTo(elsewhere={"": "workflow/test_rig_document"}),
     "scenes": HowTo(
-        niche,
+        prepared.niche,
         elsewhere=dict.fromkeys(
             ("class Niche", "from niche", "from rfpipe import", "SceneContract"),
             "unit/test_scene_document",
         ),
     ),
-    "uses": HowTo(a_transport, names_of_uses, {"import torch": "unit/test_interop"}),
+    "sequences": HowTo(
+        elsewhere={"import rfpipe": "unit/test_documents", "white black": "a list of pictures"}
+    ),
+    "server": HowTo(elsewhere={"rfpipe serve": "server/test_api", "RemoteRig": "server/test_api"}),
+    "stores": HowTo(
+        names=prepared.names_of_stores,
+        elsewhere={"rfpipe keep": "unit/test_keep", "s3:": "unit/test_keep"},
+    ),
+    "uses": HowTo(
+        prepared.a_transport, prepared.names_of_uses, {"import torch": "unit/test_interop"}
+    ),
+    "verification": HowTo(elsewhere={"": "unit/test_documents"}),
+    "verify": HowTo(prepared.acquire_planes, elsewhere={"mend:": "a message of the command"}),
+    "viewer": HowTo(prepared.acquire_planes),
 }
 
 
 def blocks(page: str) -> list[tuple[str, str]]:
     """Return language and text of each block of commands or Python of a page, in their order."""
-    text = (ROOT / "docs" / f"{page}.md").read_text("utf-8")
-    block = re.compile(r"^```(sh|python)\n(.*?)^```|(?<=\n\n)((?: {4}\S[^\n]*\n)+)", re.M | re.S)
+    text = (DOCS / f"{page}.md").read_text("utf-8")
+    block = re.compile(r"^```(sh|python)\n(.*?)^```|(?<=\n\n)((?: {4} *\S[^\n]*\n)+)", re.M | re.S)
     fences = re.sub(r"^```(?!sh|python)(\w+)\n.*?^```", "", text, flags=re.M | re.S)
     return [
         (found[1], found[2]) if found[1] else ("sh", re.sub(r"^ {4}", "", found[3], flags=re.M))
@@ -155,7 +129,10 @@ def blocks(page: str) -> list[tuple[str, str]]:
 
 def run(command: str) -> None:
     """Run a command of rfpipe; workflows in a process of their own."""
-    program, *words = shlex.split(command, comments=True)
+    words = shlex.split(command, comments=True)
+    if not words:
+        return
+    program, *words = words
     assert Path(program).name == "rfpipe", command
     if words[0] == "run":
         subprocess.run([sys.executable, "-m", "rfpipe.cli", *words], check=True)
@@ -181,6 +158,11 @@ def test_blocks_run_in_their_order(
         else:
             for line in text.replace("\\\n", "").splitlines():
                 run(line)
+
+
+def test_all_pages_with_blocks_are_in_the_table() -> None:
+    pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")}
+    assert {page for page in pages if blocks(page)} == set(PAGES)
 
 
 @pytest.mark.parametrize("page", PAGES)

@@ -127,6 +127,14 @@ def test_what_is_no_dome_is_refused(
         write_relightable_image(transport, tmp_path / name)
 
 
+def test_pictures_beyond_the_memory_are_refused_with_a_remedy(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(relightable_images, "MEMORY_BUDGET", 4 * 3 * 40 * 56 * 24 - 1)
+    with pytest.raises(InputError, match=r"3 x 2,240 x 24 entries .* larger --camera-bin"):
+        write_relightable_image(relief(LIGHTS), tmp_path / "web")
+
+
 @pytest.mark.parametrize(
     ("option", "message"),
     [("--normals", "--normals and --relight exclude each other"), ("--dual", "needs all pixels")],

@@ -42,6 +42,7 @@ from rfpipe.output import OUTPUTS, suffix_of
 from rfpipe.pictures.images import JPEG_QUALITY, srgb, write_jpeg
 from rfpipe.ranges import ranges
 from rfpipe.store.files import hidden_sibling, remove_tree, storage_errors, write_atomically
+from rfpipe.transport.algebra import MEMORY_BUDGET, check_size
 from rfpipe.transport.light_interpolation import LightInterpolation
 from rfpipe.transport.relightable import Relightable
 
@@ -160,6 +161,8 @@ def write_relightable_image(light: Relightable, output: Path) -> RelightableImag
     suffix = suffix_of(output, OUTPUTS["export --relight"])
     if not suffix and output.exists():
         raise InputError(f"{output}: exists already; remove it, or name another folder")
+    advice = "fit the pictures with a larger --camera-bin"
+    check_size("the pictures of the lights", light.shape, MEMORY_BUDGET, advice)
     interpolation = light.light_interpolation()
     directions = unit(np.asarray(light.lights))
     pictures = light.toarray()
@@ -254,7 +257,9 @@ def _write_folder(dome: _Dome, interpolation: LightInterpolation, folder: Path) 
         coefficients[first:last] = (solve @ residual).T
     lowest = coefficients.min(axis=0)
     scale = np.maximum(coefficients.max(axis=0) - lowest, 1e-6)
-    codes = np.rint(255 * (coefficients - lowest) / scale).astype(np.uint8)
+    coefficients -= lowest
+    coefficients *= 255 / scale
+    codes = np.rint(coefficients, out=coefficients).astype(np.uint8)
     restored = components.mean + (codes[sample] / 255 * scale + lowest) @ components.basis.T
     grid = restored.T.reshape(len(directions), -1)
     lights = dome.directions[dome.in_front]
