@@ -162,7 +162,8 @@ def test_blocks_run_in_their_order(
 
 def test_all_pages_with_blocks_are_in_the_table() -> None:
     pages = {path.relative_to(DOCS).with_suffix("").as_posix() for path in DOCS.rglob("*.md")}
-    assert {page for page in pages if blocks(page)} == set(PAGES)
+    written = {page for page in pages if not page.startswith("site/generated/")}
+    assert {page for page in written if blocks(page)} == set(PAGES)
 
 
 @pytest.mark.parametrize("page", PAGES)
