@@ -249,16 +249,30 @@ def test_the_forecast_has_three_rounds_of_single_rays() -> None:
 # --- patterns
 
 
-@pytest.mark.parametrize(("count", "share"), [(4, 0.5), (8, 0.5), (16, 0.25), (24, 1 / 6)])
-def test_a_block_is_lit_by_about_four_patterns_of_a_levels_first_round(
-    count: int, share: float
+@pytest.mark.parametrize(
+    ("finer", "count", "share"),
+    [(1, 4, 0.5), (1, 8, 0.5), (1, 16, 0.25), (1, 24, 1 / 6), (0, 4, 0.5), (0, 16, 0.5)],
+)
+def test_four_patterns_of_a_first_round_light_a_block_and_half_of_them_a_ray(
+    finer: int, count: int, share: float
 ) -> None:
     levels = BlockLevels(RayDomain((64, 64)))
-    last = len(levels) - 1
-    lit = first_patterns(levels, last, 3, count)
-    assert lit.shape == (count, 64 * 64)
-    assert lit.mean() == pytest.approx(share, rel=0.05)
-    assert not np.array_equal(lit, first_patterns(levels, last, 4, count))
+    index = len(levels) - 1 - finer
+    lit = first_patterns(levels, index, 3, count)
+    assert lit.shape == (count, levels.tree.n_blocks(levels.levels[index]))
+    assert lit.mean() == pytest.approx(share, rel=0.1)
+    assert not np.array_equal(lit, first_patterns(levels, index, 4, count))
+
+
+@pytest.mark.parametrize(("shape", "count", "least"), [((64, 64), 8, 1), ((48, 48), 16, 2)])
+def test_patterns_tell_all_coarse_blocks_apart(
+    shape: tuple[int, int], count: int, least: int
+) -> None:
+    levels = BlockLevels(RayDomain(shape))
+    for key in range(1, 9):
+        lit = first_patterns(levels, 0, key, count)
+        first, second = np.triu_indices(lit.shape[1], 1)
+        assert (lit[:, first] != lit[:, second]).sum(axis=0).min() >= least
 
 
 def test_further_patterns_light_a_quarter_of_the_rays_in_turn_within_larger_blocks() -> None:

@@ -6,14 +6,21 @@ the fewer pictures there are of each block.
 
 from __future__ import annotations
 
+import numpy as np
+
 from rfpipe.array_types import Bools
 from rfpipe.methods.multiplexed.blocks import BlockLevels
 from rfpipe.provenance import generator
 
 _SEED = 2005
 
-# Patterns of the first round of a level that light a block, on average.
+# Patterns of the first round of a level that light a block, on average. A half of them light each
+# single ray: on 17 of 20 random mirrors, 16 patterns of random quarters tell all rays apart, and on
+# all 20 those of random halves.
 _TIMES_LIT = 4
+# Of so many draws, the patterns that tell the blocks of a level best apart are shown, up to this
+# number of blocks. One draw of 8 patterns lights two of 16 blocks alike in every second case.
+_DRAWS, _MOST_BLOCKS = 20, 256
 # Share of the rays that every second pattern of a further round lights, as many as the others do.
 # With an eighth errors are the same; with a half of the rays in all patterns of all levels, as once
 # was, `glass_and_ring` took 299 pictures for 0.5 % in place of 165.
@@ -37,8 +44,22 @@ def first_patterns(levels: BlockLevels, index: int, key: int, count: int) -> Boo
     ndarray of bool, shape (count, blocks of the level)
         The blocks that each pattern lights.
     """
+    random, is_of_rays = generator(_SEED, key), index == len(levels) - 1
     blocks = levels.tree.n_blocks(levels.levels[index])
-    return generator(_SEED, key).random((count, blocks)) < min(_TIMES_LIT / count, 0.5)
+    share = 0.5 if is_of_rays else min(_TIMES_LIT / count, 0.5)
+    draws = _DRAWS if blocks <= _MOST_BLOCKS else 1
+    return max((random.random((count, blocks)) < share for _ in range(draws)), key=_least_distance)
+
+
+def _least_distance(lit: Bools) -> float:
+    """Count the patterns that light only one of two blocks, for the two that are most alike."""
+    if lit.shape[1] > _MOST_BLOCKS:
+        return 0.0
+    weights = lit.astype(np.float64)
+    times_lit = weights.sum(axis=0)
+    distance = times_lit[:, None] + times_lit - 2 * weights.T @ weights
+    np.fill_diagonal(distance, np.inf)
+    return float(distance.min())
 
 
 def further_patterns(levels: BlockLevels, index: int, key: int, count: int) -> Bools:
