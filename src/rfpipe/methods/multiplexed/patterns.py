@@ -23,7 +23,7 @@ _TIMES_LIT = 4
 _DRAWS, _MOST_BLOCKS = 20, 256
 # Share of the rays that every second pattern of a further round lights, as many as the others do.
 # With an eighth errors are the same; with a half of the rays in all patterns of all levels, as once
-# was, `glass_and_ring` took 299 pictures for 0.5 % in place of 165.
+# was, `glass_and_ring` took 299 pictures for 0.5 % in place of 178.
 _FEW_RAYS = 1 / 4
 
 
