@@ -47,14 +47,14 @@ def first_patterns(levels: BlockLevels, index: int, key: int, count: int) -> Boo
     random, is_of_rays = generator(_SEED, key), index == len(levels) - 1
     blocks = levels.tree.n_blocks(levels.levels[index])
     share = 0.5 if is_of_rays else min(_TIMES_LIT / count, 0.5)
-    draws = _DRAWS if blocks <= _MOST_BLOCKS else 1
-    return max((random.random((count, blocks)) < share for _ in range(draws)), key=_least_distance)
+    if blocks > _MOST_BLOCKS:
+        return random.random((count, blocks)) < share
+    draws = (random.random((count, blocks)) < share for _ in range(_DRAWS))
+    return max(draws, key=_least_distance)
 
 
 def _least_distance(lit: Bools) -> float:
     """Count the patterns that light only one of two blocks, for the two that are most alike."""
-    if lit.shape[1] > _MOST_BLOCKS:
-        return 0.0
     weights = lit.astype(np.float64)
     times_lit = weights.sum(axis=0)
     distance = times_lit[:, None] + times_lit - 2 * weights.T @ weights
@@ -76,5 +76,5 @@ def further_patterns(levels: BlockLevels, index: int, key: int, count: int) -> B
         if index:
             coarser = levels.levels[index - 1 - number % index]
             is_lit = random.random(tree.n_blocks(coarser)) < 0.5
-            lit[pattern] &= is_lit[tree.labels(coarser).reshape(-1)[tree.order]]
+            lit[pattern] &= is_lit[tree.block_of_position(coarser)]
     return lit
