@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from rfpipe.config import RigConfig, parse_rig_config
-from rfpipe.devices.bench import optical_path
+from rfpipe.devices.optical_path import optical_path
 from rfpipe.rigs import DeviceRig
 from rfpipe.rigs.build import rig_from_config
 from rfpipe.testing import ProjectorContract, RigContract

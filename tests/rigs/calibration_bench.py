@@ -9,7 +9,7 @@ import numpy as np
 from tests.rigs.simulated_devices import SimulatedCamera, SimulatedProjector
 
 from rfpipe.config import SceneSettings
-from rfpipe.devices.bench import OpticalPath
+from rfpipe.devices.optical_path import OpticalPath
 from rfpipe.photometry import CameraModel
 from rfpipe.rigs.layout import Quadrilateral, centred_corners, tilted_corners
 from rfpipe.scenes import RadiosityScene, scene_from_config

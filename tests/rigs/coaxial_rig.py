@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from tests.rigs.calibration_bench import CAMERA, bench_of
 
 from rfpipe.config import SceneSettings
-from rfpipe.devices.bench import OpticalPath
+from rfpipe.devices.optical_path import OpticalPath
 from rfpipe.photometry import CameraModel
 from rfpipe.photometry.resampling import Resampling
 from rfpipe.rigs import DeviceRig

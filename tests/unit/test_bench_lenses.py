@@ -10,7 +10,7 @@ import pytest
 from tests.rigs.calibration_bench import Surface
 
 from rfpipe.config import BenchConfig
-from rfpipe.devices.bench import OpticalPath, optical_path
+from rfpipe.devices.optical_path import OpticalPath, optical_path
 from rfpipe.errors import ConfigError
 from rfpipe.rigs.layout import Quadrilateral
 from rfpipe.scenes import Pinhole, Plane
